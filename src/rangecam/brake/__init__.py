@@ -1,0 +1,8 @@
+"""The brake: rule and stopping distance."""
+
+from rangecam.settings import settings
+
+
+@settings
+class DecisionSettings:
+    """When to brake."""

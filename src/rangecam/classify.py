@@ -1,0 +1,8 @@
+"""What a track is."""
+
+from rangecam.settings import settings
+
+
+@settings
+class ClassificationSettings:
+    """How tracks are classified."""

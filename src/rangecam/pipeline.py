@@ -1,0 +1,52 @@
+"""The one function where data flows, and the loop around it.
+
+Read `process_frame` from top to bottom and you have read the system. Everything else either makes a `RawFrame`
+(simulation, files, wires) or uses a `Frame` (recorder, report, bus, applications).
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from rangecam import cw, processed, pulsed
+from rangecam.brake import decide
+from rangecam.classify import classify
+from rangecam.clean import clean
+from rangecam.config import Config
+from rangecam.geometry import to_world
+from rangecam.segmentation import SEGMENTATION, measure_segments
+from rangecam.tracking import update_tracks
+from rangecam.types import Capture, Ego, Frame, RawFrame, Tracks
+
+RANGING = {**pulsed.RANGING, **cw.RANGING, **processed.RANGING}
+"""Ranging methods by name, of all camera families: (RawFrame, camera settings) -> RangeImage."""
+
+
+def call(stage: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call `function`; `process_frame` calls every stage through this, so that a caller can time or keep them."""
+    return function(*arguments)
+
+
+def process_frame(raw: RawFrame, tracks: Tracks, ego: Ego, config: Config, step: Callable[..., Any] = call) -> Frame:
+    """One step of perception: raw samples in, decision out. Pure: same arguments, same Frame.
+
+    `step(stage, function, *arguments)` calls each stage; it may watch, but must return what the function returns.
+    """
+    camera, lens, mounting = config.camera, config.camera.lens, config.mounting
+    image = step("ranging", RANGING[config.ranging], raw, camera)
+    image = step("clean", clean, image, lens, mounting, config.clean)
+    points = step("geometry", to_world, image, lens, mounting)
+    labels = step("segmentation", SEGMENTATION[config.segmentation], image, points, config.segments)
+    segments = step("segments", measure_segments, labels, points, image, lens, mounting, config.segments)
+    tracks = step("tracking", update_tracks, tracks, segments, image.time_s, config.tracking)
+    tracks = step("classification", classify, tracks, config.classification)
+    decision = step("decision", decide, tracks, ego, config.decision)
+    return Frame(raw, image, labels, segments, tracks, decision)
+
+
+def run(captures: Iterable[Capture], config: Config, step: Callable[..., Any] = call) -> Iterator[Frame]:
+    """Yield the Frame of each capture; the tracks of one are the memory of the next."""
+    tracks = Tracks.empty()
+    for capture in captures:
+        frame = process_frame(capture.raw, tracks, capture.ego, config, step)
+        tracks = frame.tracks
+        yield frame

@@ -1,0 +1,383 @@
+"""The values that flow through the chain, with their axes and units, said once.
+
+Image axes: arrays are (H, W), rows downwards, columns to the right as the camera looks.
+Camera axes: x along the optical axis, y left, z up, right-handed (K-CS-04). Vehicle ("world") axes: x forward, y left,
+z up, origin on the floor below the reference point of the vehicle (K-CS-05, ISO 8855).
+Units are SI and stand in the names: m, s, rad, m/s. `range_m` is radial, along the pixel's ray; depth along the axis.
+
+Every value is frozen. Arrays inside are shared, not copied: nobody writes into an array that was handed to them.
+Collections (`Segments`, `Tracks`, `Collisions`) are structs of arrays, one row an object; indexing gives one object.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[Any]
+"""An array of shape (H, W)."""
+Floats = NDArray[np.floating[Any]]
+Ints = NDArray[np.integer[Any]]
+
+SPEED_OF_LIGHT = 299_792_458.0
+"""m/s. The theses compute with 3e8 (X-01); cameras take it as a setting so that their numbers can be reproduced."""
+
+
+class Why(IntEnum):
+    """Why a pixel is invalid; VALID is zero. The first stage that refuses a pixel gives the reason."""
+
+    VALID = 0
+    NO_SIGNAL = 1
+    """The sensor delivered nothing: an empty pixel, a missing target."""
+    NOT_FINITE = 2
+    """A sample is NaN or infinite."""
+    LOW_AMPLITUDE = 3
+    """Too little light for a range worth having."""
+    SATURATED = 4
+    """Too much light: a sample is at or above full scale."""
+    OUT_OF_RANGE = 5
+    """Outside the interval in which the camera or method can measure."""
+    WRAPPED = 6
+    """Beyond the unambiguous range, or the unwrapping cannot decide."""
+    SENSOR_FLAG = 7
+    """The sensor itself marked the pixel as bad."""
+    FLYING = 8
+    """Between two surfaces: light of both in one pixel."""
+    ISOLATED = 9
+    """Too few neighbours agree with it."""
+    FLOOR = 10
+    """Belongs to the floor."""
+    OUTSIDE_AREA = 11
+    """Outside the area of interest."""
+    BORDER = 12
+    """At the image border, where a filter has no full neighbourhood."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawFrame:
+    """What a sensor delivers for one image: named planes of samples, as they came.
+
+    planes: name -> (H, W) array. The names are the vocabulary of recordings and files alike:
+        continuous wave   phase_0, phase_90, phase_180, phase_270 (the step in degrees)
+        pulsed shutter    shutter_a, shutter_b, shutter_c (V, after correlated double sampling), n_acc
+        pulsed taps       tap_1..3, dark_1..3, tap_std_1..3
+        processed         range_m or depth_m, amplitude, noise_m (one sigma), status, confidence
+    time_s: middle of the exposure on the camera's own clock.
+    """
+
+    time_s: float
+    planes: Mapping[str, Image]
+    frame_id: int = 0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the sensor image."""
+        height, width = next(iter(self.planes.values())).shape
+        return height, width
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """The waist of the system: from here on nobody knows which family of camera it was.
+
+    range_m (H, W) float32: radial range; where `why` is not VALID the estimate is kept if there was one, else NaN.
+    sigma_m (H, W) float32: one standard deviation of range_m, from the sensor's noise model.
+    amplitude (H, W) float32: strength of the received active light, in the unit of the sensor.
+    why (H, W) uint8: `Why` code of each pixel.
+    """
+
+    time_s: float
+    range_m: Floats
+    sigma_m: Floats
+    amplitude: Floats
+    why: NDArray[np.uint8]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(H, W) bool: True where the range may be used."""
+        return np.equal(self.why, Why.VALID)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        height, width = self.range_m.shape
+        return height, width
+
+
+class Rows:
+    """A struct of arrays: the first axis of every array field is the object (see `Segments`, `Tracks`)."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, dataclasses.fields(self)[0].name))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """One connected object of one image: row i of `Segments`, same fields."""
+
+    label: int
+    position_m: Floats
+    covariance_m2: Floats
+    size_m: Floats
+    near_m: float
+    n_pixels: int
+    box: Ints
+    range_m: float
+    sigma_range_m: float
+    amplitude: float
+
+
+@dataclass(frozen=True, eq=False)
+class Segments(Rows):
+    """The object list of one image (K-SEG-05, S-SEG-03): N segments.
+
+    label (N,) int: value of the segment's pixels in the label image, 1..N.
+    position_m (N, 3): centroid in vehicle axes. covariance_m2 (N, 3, 3): its covariance.
+    size_m (N, 3): extent of the points along x, y, z. near_m (N,): smallest x of the segment, robustly.
+    n_pixels (N,) int. box (N, 4) int: first row, first column, last row + 1, last column + 1.
+    range_m, sigma_range_m, amplitude (N,): mean over the pixels, standard deviation of that mean range, mean.
+    """
+
+    label: Ints
+    position_m: Floats
+    covariance_m2: Floats
+    size_m: Floats
+    near_m: Floats
+    n_pixels: Ints
+    box: Ints
+    range_m: Floats
+    sigma_range_m: Floats
+    amplitude: Floats
+
+    def __getitem__(self, i: int) -> Segment:
+        return Segment(
+            int(self.label[i]),
+            self.position_m[i],
+            self.covariance_m2[i],
+            self.size_m[i],
+            float(self.near_m[i]),
+            int(self.n_pixels[i]),
+            self.box[i],
+            float(self.range_m[i]),
+            float(self.sigma_range_m[i]),
+            float(self.amplitude[i]),
+        )
+
+    def __iter__(self) -> Iterator[Segment]:
+        return (self[i] for i in range(len(self)))
+
+
+class TrackStatus(IntEnum):
+    """Life of a track: TENTATIVE until seen often enough, COASTING while a confirmed one is not seen."""
+
+    TENTATIVE = 0
+    CONFIRMED = 1
+    COASTING = 2
+
+
+STATE = ("x", "vx", "ax", "y", "vy", "ay", "z", "vz", "az")
+"""Order of the state vector (K-KAL-01): m, m/s, m/s2 in vehicle axes."""
+POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]
+CLASSES = ("unknown", "vru", "vehicle", "obstacle")
+"""Object classes (K-CLS-01): vulnerable road user, vehicle, obstacle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One tracked object: row i of `Tracks`, with names for parts of the state."""
+
+    track_id: int
+    status: TrackStatus
+    state: Floats
+    covariance: Floats
+    age: int
+    hits: int
+    misses: int
+    size_m: Floats
+    near_offset_m: float
+    n_pixels: float
+    segment: int
+    class_probability: Floats
+
+    @property
+    def position_m(self) -> Floats:
+        """(3,) x, y, z."""
+        return self.state[POSITION]
+
+    @property
+    def velocity_mps(self) -> Floats:
+        """(3,) vx, vy, vz."""
+        return self.state[VELOCITY]
+
+    @property
+    def acceleration_mps2(self) -> Floats:
+        """(3,) ax, ay, az."""
+        return self.state[ACCELERATION]
+
+    @property
+    def class_name(self) -> str:
+        """The most probable class."""
+        return CLASSES[int(np.argmax(self.class_probability))]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks(Rows):
+    """All tracks after one frame: the whole memory of the system, handed back into the next step.
+
+    track_id (N,) int, unique for ever. status (N,) int: `TrackStatus`. state (N, 9), covariance (N, 9, 9): see `STATE`.
+    age, hits, misses (N,) int: frames since birth, frames seen, frames missed in a row.
+    size_m (N, 3): smoothed extent. near_offset_m (N,): centroid x minus nearest x, smoothed. n_pixels (N,) smoothed.
+    segment (N,) int: label of the segment of this frame that the track took, 0 for none.
+    class_probability (N, 4): over `CLASSES`.
+    time_s: time of the last frame, NaN before the first. next_id: the next new track's number.
+    nis (N,): normalised innovation squared of the last update (3 degrees of freedom), NaN where there was none.
+    """
+
+    track_id: Ints
+    status: Ints
+    state: Floats
+    covariance: Floats
+    age: Ints
+    hits: Ints
+    misses: Ints
+    size_m: Floats
+    near_offset_m: Floats
+    n_pixels: Floats
+    segment: Ints
+    class_probability: Floats
+    nis: Floats
+    time_s: float = float("nan")
+    next_id: int = 1
+
+    @classmethod
+    def empty(cls) -> Tracks:
+        """Return the state before the first frame."""
+        n0, i0 = np.zeros(0), np.zeros(0, np.int64)
+        return cls(
+            track_id=i0,
+            status=i0,
+            state=np.zeros((0, 9)),
+            covariance=np.zeros((0, 9, 9)),
+            age=i0,
+            hits=i0,
+            misses=i0,
+            size_m=np.zeros((0, 3)),
+            near_offset_m=n0,
+            n_pixels=n0,
+            segment=i0,
+            class_probability=np.zeros((0, len(CLASSES))),
+            nis=n0,
+        )
+
+    def __getitem__(self, i: int) -> Track:
+        return Track(
+            int(self.track_id[i]),
+            TrackStatus(int(self.status[i])),
+            self.state[i],
+            self.covariance[i],
+            int(self.age[i]),
+            int(self.hits[i]),
+            int(self.misses[i]),
+            self.size_m[i],
+            float(self.near_offset_m[i]),
+            float(self.n_pixels[i]),
+            int(self.segment[i]),
+            self.class_probability[i],
+        )
+
+    def __iter__(self) -> Iterator[Track]:
+        return (self[i] for i in range(len(self)))
+
+
+@dataclass(frozen=True)
+class Ego:
+    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear."""
+
+    time_s: float = float("nan")
+    speed_mps: float | None = None
+    yaw_rate_radps: float = 0.0
+    forward: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Collisions(Rows):
+    """What each track would do to us: row i belongs to row i of `Tracks`.
+
+    ttc_s, ttc_sigma_s (N,): time to collision and its standard deviation; inf and NaN where there is none (K-CLS-03).
+    lateral_m (N,): y of the track when it reaches us. p_collision (N,): probability that it hits the ego corridor.
+    """
+
+    ttc_s: Floats
+    ttc_sigma_s: Floats
+    lateral_m: Floats
+    p_collision: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What to do now, and why.
+
+    brake: True while the rule demands braking. reason: one phrase for people.
+    track_id: the track that decides, 0 for none; distance_m: free way to its nearest surface;
+    closing_speed_mps, stopping_distance_m, needed_deceleration_mps2: of that track (NaN without one).
+    ttc_s, ttc_sigma_s, p_collision: of that track. collisions: of every track.
+    """
+
+    time_s: float
+    brake: bool
+    reason: str
+    collisions: Collisions
+    track_id: int = 0
+    distance_m: float = float("nan")
+    closing_speed_mps: float = float("nan")
+    stopping_distance_m: float = float("nan")
+    needed_deceleration_mps2: float = float("nan")
+    ttc_s: float = float("inf")
+    ttc_sigma_s: float = float("nan")
+    p_collision: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Everything known about one image: what recorder, report, workbench, bus and applications receive.
+
+    labels (H, W) int32: 0 for background, else the segment's label.
+    """
+
+    raw: RawFrame
+    image: RangeImage
+    labels: Ints
+    segments: Segments
+    tracks: Tracks
+    decision: Decision
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a simulation knows and a camera does not.
+
+    range_m, reflectivity (H, W): of the ray through the pixel centre, inf and 0 where it hits nothing.
+    object_id (H, W) int: 0 for nothing. positions_m, velocities_mps (K, 3) of the objects named in `names`.
+    """
+
+    range_m: Floats
+    reflectivity: Floats
+    object_id: Ints
+    names: tuple[str, ...] = ()
+    positions_m: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    velocities_mps: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What a source yields: a raw frame, the state of the own vehicle at that time, and the truth where it is known."""
+
+    raw: RawFrame
+    ego: Ego = Ego()
+    truth: Truth | None = None
