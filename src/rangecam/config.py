@@ -7,7 +7,7 @@ Every module declares its own piece with `@settings`; `Config` puts the pieces t
 import dataclasses
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -156,8 +156,8 @@ def parse(kind: type[T], values: Tree, where: str) -> T:
     return result
 
 
-@lru_cache(maxsize=32)
-def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 

@@ -4,8 +4,8 @@ Read `process_frame` from top to bottom and you have read the system. Everything
 (simulation, files, wires) or uses a `Frame` (recorder, report, bus, applications).
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Protocol
 
 from rangecam import cw, processed, pulsed
 from rangecam.brake import decide
@@ -43,10 +43,24 @@ def process_frame(raw: RawFrame, tracks: Tracks, ego: Ego, config: Config, step:
     return Frame(raw, image, labels, segments, tracks, decision)
 
 
-def run(captures: Iterable[Capture], config: Config, step: Callable[..., Any] = call) -> Iterator[Frame]:
-    """Yield the Frame of each capture; the tracks of one are the memory of the next."""
+class Sink(Protocol):
+    """Whoever uses frames: a recorder, a report, an export. `close` is called once, also after an error."""
+
+    def write(self, capture: Capture, frame: Frame) -> None:
+        """Take in one frame and the capture that it came from."""
+
+    def close(self) -> None:
+        """Finish what was begun."""
+
+
+def run(
+    captures: Iterable[Capture], config: Config, sinks: Sequence[Sink] = (), step: Callable[..., Any] = call
+) -> Iterator[Frame]:
+    """Yield the Frame of each capture, after every sink has had it; the tracks of one are the memory of the next."""
     tracks = Tracks.empty()
     for capture in captures:
         frame = process_frame(capture.raw, tracks, capture.ego, config, step)
+        for sink in sinks:
+            sink.write(capture, frame)
         tracks = frame.tracks
         yield frame

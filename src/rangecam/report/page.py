@@ -1,0 +1,134 @@
+"""The report as a sink: it keeps a little of every frame and all of the most telling one."""
+
+import html
+import os
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rangecam.config import Config
+from rangecam.errors import UsageError
+from rangecam.report import figures
+from rangecam.summary import Stopwatch, Summary, describe
+from rangecam.types import Capture, Frame, Tracks, TrackStatus
+
+
+class Report:
+    """Writes the page when it is closed without an error; an error leaves no file behind.
+
+    The frame whose life is shown is the first that braked, else the one with most confirmed tracks, then segments.
+    """
+
+    def __init__(self, path: Path | str, config: Config, source: str = "") -> None:
+        self._path, self._config, self._source = Path(path), config, source
+        if not self._path.parent.is_dir():
+            raise UsageError(f"cannot write {self._path}: the folder {self._path.parent} does not exist")
+        if self._path.is_dir() or not os.access(self._path.parent, os.W_OK):
+            raise UsageError(f"cannot write {self._path}: choose a file in a folder that is writable")
+        self._summary, self._watch = Summary(source, config), Stopwatch()
+        self._before = Tracks.empty()
+        self._best: tuple[tuple[int, int, int], Capture, Tracks] | None = None
+        self._timeline: list[figures.Moment] = []
+        self._trails: dict[int, list[tuple[float, float]]] = {}
+        self._classes: dict[int, str] = {}
+
+    def write(self, capture: Capture, frame: Frame) -> None:
+        """Take in one frame."""
+        self._summary.write(capture, frame)
+        confirmed = [track for track in frame.tracks if track.status != TrackStatus.TENTATIVE]
+        score = (int(frame.decision.brake), len(confirmed), len(frame.segments))
+        if self._best is None or (score > self._best[0] and not self._best[0][0]):
+            self._best = score, capture, self._before
+        self._before = frame.tracks
+        for track in confirmed:
+            x, y = float(track.position_m[0]), float(track.position_m[1])
+            self._trails.setdefault(track.track_id, []).append((x, y))
+            self._classes[track.track_id] = track.class_name
+        self._timeline.append(figures.moment(frame, capture.ego))
+
+    def close(self) -> None:
+        """Draw the figures and write the page at once, so that nobody ever sees half of it."""
+        if self._best is None:
+            return
+        from rangecam.pipeline import process_frame
+
+        _, capture, tracks = self._best
+        life = figures.LifeOfAFrame()
+        frame = process_frame(capture.raw, tracks, capture.ego, self._config, life)
+        page = _page(
+            self._source, self._config, describe(self._summary.result(self._watch)), self._sections(frame, life)
+        )
+        handle, name = tempfile.mkstemp(dir=self._path.parent, prefix=f".{self._path.name}-")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(page)
+            os.chmod(name, 0o644)
+            os.replace(name, self._path)
+        except BaseException:
+            os.unlink(name)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+
+    def _sections(self, frame: Frame, life: Any) -> list[tuple[str, str, str]]:
+        """Return (title, text, picture) of each section."""
+        config, time_s = self._config, frame.image.time_s
+        return [
+            (
+                f"What the camera measured at {time_s:.2f} s",
+                "Amplitude, radial range, its standard deviation from the noise model, and why each dark pixel is "
+                "dark. Grey pixels are invalid.",
+                figures.images(frame.image, life.before_cleaning(), config.camera.lens),
+            ),
+            (
+                "The life of this frame",
+                "Raw samples, ranging, every cleaning step, segments: what each stage changed.",
+                figures.life(life, frame, config),
+            ),
+            (
+                "Segments and tracks from above",
+                "Points of the frame above, coloured by segment; trails of all confirmed tracks of the run with their "
+                "number; ellipses hold two standard deviations. The vehicle is at the origin and looks to the right.",
+                figures.from_above(frame, life, self._trails, self._classes, config),
+            ),
+            (
+                "Time to collision and brake",
+                "The track that decides at each moment: free way against stopping distance, speeds, time to collision "
+                "with two standard deviations. Red: the rule demands braking.",
+                figures.timeline(self._timeline),
+            ),
+        ]
+
+
+def _page(source: str, config: Config, summary: str, sections: list[tuple[str, str, str]]) -> str:
+    body = "\n".join(
+        f"<section><h2>{html.escape(title)}</h2><p>{html.escape(text)}</p>"
+        f'<img alt="{html.escape(title)}" src="data:image/png;base64,{picture}"></section>'
+        for title, text, picture in sections
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>rangecam: {html.escape(source)}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; color: #1f2933; background: #f5f7fa; margin: 0 }}
+main {{ max-width: 1100px; margin: 0 auto; padding: 24px 20px 60px }}
+h1 {{ font-size: 26px; margin: 8px 0 0 }} h2 {{ font-size: 19px; margin: 0 0 4px }}
+p {{ margin: 0 0 12px; color: #52606d; max-width: 80ch }}
+section {{ background: #fff; border: 1px solid #e4e7eb; border-radius: 8px; padding: 18px 20px; margin: 18px 0 }}
+pre {{ font: 14px/1.45 ui-monospace, monospace; white-space: pre-wrap; margin: 0 }}
+img {{ max-width: 100%; height: auto; display: block; margin: 0 auto }}
+</style></head><body><main>
+<h1>{html.escape(source)}</h1>
+<p>{html.escape(config.description)}</p>
+<section><pre>{html.escape(summary)}</pre></section>
+{body}
+</main></body></html>
+"""

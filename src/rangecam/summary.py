@@ -1,0 +1,160 @@
+"""What a run says of itself: the JSON of `rangecam run --json` and the lines that people read."""
+
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rangecam.config import Config
+from rangecam.types import CLASSES, Capture, Decision, Frame, TrackStatus
+
+
+class Stopwatch:
+    """A `step` for `process_frame` that keeps the seconds each stage took."""
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.seconds: dict[str, list[float]] = {}
+        self._clock = clock
+
+    def __call__(self, stage: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call `function` and note how long it took."""
+        start = self._clock()
+        result = function(*arguments)
+        self.seconds.setdefault(stage, []).append(self._clock() - start)
+        return result
+
+    def latency_ms(self) -> dict[str, dict[str, float]]:
+        """Return p50, p99 and max of each stage and of their sum, in milliseconds."""
+        columns = dict(self.seconds)
+        if columns:
+            columns["sum"] = [sum(row) for row in zip(*self.seconds.values(), strict=True)]
+        return {stage: _quantiles_ms(seconds) for stage, seconds in columns.items()}
+
+
+def _quantiles_ms(seconds: list[float]) -> dict[str, float]:
+    p50, p99, top = np.percentile(seconds, [50, 99, 100]) * 1e3
+    return {"p50": round(float(p50), 4), "p99": round(float(p99), 4), "max": round(float(top), 4)}
+
+
+class Summary:
+    """A sink that gathers what a run found; `result` is made of JSON values only."""
+
+    def __init__(self, source: str, config: Config) -> None:
+        self._source, self._config = source, config
+        self._times: list[float] = []
+        self._valid: list[float] = []
+        self._segments: list[int] = []
+        self._events: list[dict[str, Any]] = []
+        self._braking = False
+        self._brake_frames = 0
+        self._tracks: dict[int, dict[str, Any]] = {}
+        self._digest = hashlib.sha256()
+
+    def write(self, capture: Capture, frame: Frame) -> None:
+        """Take in one frame."""
+        decision = frame.decision
+        self._times.append(decision.time_s)
+        self._valid.append(float(frame.image.valid.mean()))
+        self._segments.append(len(frame.segments))
+        self._brake_frames += decision.brake
+        if decision.brake != self._braking or not self._events:
+            self._events.append(_event(decision))
+        self._braking = decision.brake
+        for values in (frame.tracks.track_id, frame.tracks.state, frame.tracks.covariance, frame.decision.brake):
+            self._digest.update(np.ascontiguousarray(values).tobytes())
+        for track in frame.tracks:
+            if track.status == TrackStatus.TENTATIVE:
+                continue
+            known = self._tracks.setdefault(
+                track.track_id,
+                {"track_id": track.track_id, "first_s": decision.time_s, "frames": 0, "nearest_m": math.inf},
+            )
+            best = int(np.argmax(track.class_probability))
+            known |= {
+                "last_s": decision.time_s,
+                "frames": known["frames"] + 1,
+                "nearest_m": min(known["nearest_m"], float(track.position_m[0] - track.near_offset_m)),
+                "position_m": [round(float(v), 4) for v in track.position_m],
+                "velocity_mps": [round(float(v), 4) for v in track.velocity_mps],
+                "size_m": [round(float(v), 3) for v in track.size_m],
+                "class": CLASSES[best],
+                "p_class": round(float(track.class_probability[best]), 4),
+            }
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def result(self, watch: Stopwatch) -> dict[str, Any]:
+        """Return the summary as JSON values; `digest` is equal if and only if every track and decision was."""
+        from rangecam import __version__
+
+        span = self._times[-1] - self._times[0] if self._times else 0.0
+        return {
+            "source": self._source,
+            "preset": self._config.preset,
+            "camera": {
+                "name": self._config.camera.name,
+                "kind": self._config.camera.kind,
+                "ranging": self._config.ranging,
+                "segmentation": self._config.segmentation,
+            },
+            "frames": len(self._times),
+            "duration_s": round(span, 6),
+            "valid_fraction": round(float(np.mean(self._valid)), 6) if self._valid else 0.0,
+            "segments_per_frame": self._segments,
+            "tracks": list(self._tracks.values()),
+            "decisions": {"brake_frames": self._brake_frames, "events": self._events},
+            "latency_ms": watch.latency_ms(),
+            "digest": self._digest.hexdigest(),
+            "version": __version__,
+        }
+
+
+def _event(decision: Decision) -> dict[str, Any]:
+    values = {
+        "time_s": decision.time_s,
+        "brake": decision.brake,
+        "reason": decision.reason,
+        "track_id": decision.track_id,
+        "distance_m": decision.distance_m,
+        "closing_speed_mps": decision.closing_speed_mps,
+        "stopping_distance_m": decision.stopping_distance_m,
+        "ttc_s": decision.ttc_s,
+        "p_collision": decision.p_collision,
+    }
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+
+
+def describe(result: dict[str, Any]) -> str:
+    """Return the summary as lines for people."""
+    camera, tracks = result["camera"], result["tracks"]
+    events = [event for event in result["decisions"]["events"] if event["brake"]]
+    brakes = [f"brake      at {event['time_s']:.2f} s: {event['reason']}" for event in events]
+    lines = [
+        f"{result['source']}: {result['frames']} frames in {result['duration_s']:.2f} s",
+        f"camera     {camera['name']} ({camera['kind']}), preset {result['preset']}",
+        f"methods    {camera['ranging']}, {camera['segmentation']}",
+        f"pixels     {100 * result['valid_fraction']:.1f} % valid on average",
+        f"objects    {len(tracks)} confirmed tracks",
+        *_first([_describe_track(track) for track in tracks], 8),
+        *(
+            _first([f"brake      at {event['time_s']:.2f} s: {event['reason']}" for event in brakes], 5)
+            or ["brake      never"]
+        ),
+    ]
+    if "sum" in result["latency_ms"]:
+        total = result["latency_ms"]["sum"]
+        lines.append(f"speed      {total['p50']:.2f} ms from raw samples to decision (99 %: {total['p99']:.2f} ms)")
+    return "\n".join(lines)
+
+
+def _describe_track(track: dict[str, Any]) -> str:
+    seen = f"{track['first_s']:.2f}-{track['last_s']:.2f} s"
+    return f"           #{track['track_id']} {track['class']}: {seen}, nearest {track['nearest_m']:.2f} m"
+
+
+def _first(lines: list[str], most: int) -> list[str]:
+    return lines if len(lines) <= most else [*lines[:most], f"           ... and {len(lines) - most} more"]
