@@ -7,7 +7,6 @@ Every module declares its own piece with `@settings`; `Config` puts the pieces t
 import dataclasses
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -156,9 +155,14 @@ def parse(kind: type[T], values: Tree, where: str) -> T:
     return result
 
 
-@cache
+_ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
+
+
 def _adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
+    """Return the validator of a settings dataclass; building one takes milliseconds, so it is done once."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
 
 
 def _explain(error: ValidationError, kind: type[Any]) -> str:

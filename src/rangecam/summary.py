@@ -140,10 +140,7 @@ def describe(result: dict[str, Any]) -> str:
         f"pixels     {100 * result['valid_fraction']:.1f} % valid on average",
         f"objects    {len(tracks)} confirmed tracks",
         *_first([_describe_track(track) for track in tracks], 8),
-        *(
-            _first([f"brake      at {event['time_s']:.2f} s: {event['reason']}" for event in brakes], 5)
-            or ["brake      never"]
-        ),
+        *(_first(brakes, 5) or ["brake      never"]),
     ]
     if "sum" in result["latency_ms"]:
         total = result["latency_ms"]["sum"]

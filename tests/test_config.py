@@ -1,0 +1,86 @@
+"""Configuration: layers, round trip, and errors that name the key, the value and what is allowed."""
+
+from pathlib import Path
+
+import pytest
+
+from rangecam.config import Config, load_config, merge, overrides, parse, preset_names, preset_tree, read_toml, tree
+from rangecam.errors import UsageError
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_loads_and_survives_the_round_trip_through_json_values(name: str) -> None:
+    config = load_config(name)
+    assert config.preset == name
+    assert config.description
+    assert parse(Config, tree(config), "again") == config
+
+
+def test_the_presets_of_both_theses_and_the_generic_ones_ship() -> None:
+    assert {"usercams", "scaled_car", "generic_cw", "generic_pulsed", "vl53l5cx"} <= set(preset_names())
+
+
+def test_later_layers_win_and_leave_the_rest_alone() -> None:
+    config = load_config("scaled_car", {"camera": {"frame_rate_hz": 25.0}}, overrides(["camera.frame_rate_hz=20"]))
+    assert config.camera.frame_rate_hz == 20
+    assert config.camera.lens == load_config("scaled_car").camera.lens
+
+
+def test_a_camera_of_another_kind_replaces_the_whole_camera() -> None:
+    merged = merge({"camera": {"kind": "cw", "rows": 3}}, {"camera": {"kind": "pulsed"}})
+    assert merged == {"camera": {"kind": "pulsed"}}
+
+
+def test_merging_changes_neither_of_its_arguments() -> None:
+    first, second = {"a": {"b": 1}}, {"a": {"c": 2}}
+    assert merge(first, second) == {"a": {"b": 1, "c": 2}}
+    assert (first, second) == ({"a": {"b": 1}}, {"a": {"c": 2}})
+
+
+def test_assignments_are_toml_values_or_else_strings() -> None:
+    given = ["a.b=1.5", "a.c=true", "name=usercams", "list=[1, 2]", 'quoted="x=y"']
+    assert overrides(given) == {"a": {"b": 1.5, "c": True}, "name": "usercams", "list": [1, 2], "quoted": "x=y"}
+
+
+@pytest.mark.parametrize("assignment", ["clean.median", "=3", " =3"])
+def test_an_assignment_without_key_or_value_is_refused(assignment: str) -> None:
+    with pytest.raises(UsageError, match="expected key=value"):
+        overrides([assignment])
+
+
+@pytest.mark.parametrize(
+    ("layer", "message"),
+    [
+        ({"camera": {"lense": {}}}, "unknown setting 'camera.lense'; did you mean 'lens'\\?"),
+        ({"mountin": {}}, "unknown setting 'mountin'; did you mean 'mounting'\\?"),
+        ({"camera": {"lens": {"horizontal_fov_deg": 200}}}, "camera.lens.horizontal_fov_deg = 200: .* less than 175"),
+        ({"camera": {"rows": 0}}, "camera.rows = 0: .* greater than 0"),
+        ({"camera": {"kind": "sonar"}}, "camera .*'sonar'.*'cw', 'pulsed', 'processed'"),
+        ({"ranging": "mdsi3"}, "ranging = 'mdsi3'; possible here: cw_four_phase"),
+        ({"segmentation": "region_growin"}, "did you mean 'region_growing'\\?"),
+        ({"camera": {"modulation_hz": 0}}, "camera.modulation_hz = 0: .* greater than 0"),
+        ({"camera": {"frame_rate_hz": float("nan")}}, "camera.frame_rate_hz = nan"),
+    ],
+)
+def test_a_wrong_setting_is_named_with_what_would_be_right(layer: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        load_config("scaled_car", layer)
+
+
+def test_an_unknown_preset_is_answered_with_the_nearest_and_the_list() -> None:
+    with pytest.raises(UsageError, match=r"unknown preset 'scaled-car'; did you mean 'scaled_car'\?.*usercams"):
+        load_config("scaled-car")
+    with pytest.raises(UsageError, match="unknown preset"):
+        preset_tree("../config")
+
+
+def test_a_configuration_file_that_is_missing_or_no_toml_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"nowhere.toml: cannot read the configuration: No such file"):
+        read_toml(tmp_path / "nowhere.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("a = = 1")
+    with pytest.raises(UsageError, match=r"broken.toml: not a TOML file"):
+        read_toml(broken)
+    broken.write_bytes(b"\xff\xfe")
+    with pytest.raises(UsageError, match="not a TOML file"):
+        read_toml(broken)
