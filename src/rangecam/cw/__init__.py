@@ -1,4 +1,4 @@
-"""The cw camera family."""
+"""The continuous-wave family: modulated light, correlation samples at four phase steps (Steinbäck 2016)."""
 
 from rangecam.cw.ranging import RANGING
 from rangecam.cw.settings import CwCamera

@@ -1,18 +1,70 @@
-"""The settings of a cw camera: everything that simulation and ranging need to know of it."""
+"""The settings of a continuous-wave camera: everything that simulation and ranging need to know of it."""
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Interval
 
 from rangecam.geometry import Lens
-from rangecam.settings import PositiveInt, settings
+from rangecam.settings import NonNegative, NonNegativeInt, Positive, PositiveInt, settings
+from rangecam.types import SPEED_OF_LIGHT
+
+PhaseStep = Literal[0, 90, 180, 270]
 
 
 @settings
 class CwCamera:
-    """A cw camera."""
+    """A camera that lights the scene with modulated light and samples its correlation at four phase steps.
+
+    Levels and amplitudes are in LSB of the samples. The noise model is one for simulation and ranging alike
+    (`cw.signal.sample_variance`). What a camera's maker does not say is named *open* below.
+    """
 
     kind: Literal["cw"] = "cw"
-    name: str = "generic"
+    name: str = "continuous-wave camera"
+    """What people call it."""
     rows: PositiveInt = 120
+    """Height of the image, pixels (simulation)."""
     columns: PositiveInt = 160
-    frame_rate_hz: float = 30.0
-    lens: Lens = Lens()
+    """Width of the image, pixels (simulation)."""
+    frame_rate_hz: Positive = 30.0
+    """Images a second (simulation)."""
+    lens: Lens = Lens(horizontal_fov_deg=80.0, vertical_fov_deg=60.0, projection="equiangular")
+
+    modulation_hz: Positive = 17e6
+    """Modulation frequency; the unambiguous range is c / (2 f) (Steinbäck 2016, eq 2.4)."""
+    phase_sign: Literal[1, -1] = 1
+    """1 if the phase of atan2(C270 - C90, C0 - C180) grows with the range, -1 if it falls."""
+    offset_m: float = 0.0
+    """Added to every range, then wrapped into the unambiguous range; minus d_global of Steinbäck 2016, eq 3.13."""
+    speed_of_light_mps: Positive = SPEED_OF_LIGHT
+    """3e8 reproduces the numbers of the thesis, which were computed with it (N-S-003)."""
+
+    pixel: Literal["differential", "single_ended"] = "differential"
+    """differential: a sample is the difference of two taps, ambient light cancels in it and leaves only its shot noise;
+    single_ended: a sample is all the light of one tap, so that the samples themselves show how much light there was."""
+    black_level_lsb: float = 0.0
+    """Sample without light."""
+    read_noise_lsb: NonNegative = 1.0
+    """Standard deviation of a sample without light, before rounding; *open*: 1 LSB reproduces the 4-5 m of the thesis
+    (N-S-052)."""
+    shot_noise_lsb2_per_lsb: NonNegative = 0.01
+    """Variance per LSB of collected light: one over the electrons per LSB; *open*: 100 electrons per LSB."""
+    demodulation_contrast: Annotated[float, Interval(gt=0, le=1)] = 0.8
+    """Amplitude of the samples over the mean active light collected with them; *open*: typical of the pixel."""
+    ambient_lsb: NonNegative = 0.0
+    """Ambient light that ranging reckons with, as a level of its own; for a differential pixel only, where the samples
+    do not tell."""
+    quantisation_lsb: NonNegative = 0.0
+    """Step of the samples; 0 for averaged samples or a step far below the noise."""
+
+    full_scale_lsb: Positive | None = None
+    """A sample at or above it is saturated; none: not known."""
+    lower_limit_lsb: float | None = None
+    """A sample at or below it is saturated, too; none: not known."""
+    min_amplitude: NonNegative = 0.0
+    """Pixels with less are LOW_AMPLITUDE, LSB (Steinbäck 2016, eq 2.10)."""
+    max_phase_sigma_rad: Annotated[float, Interval(gt=0, le=0.5)] = 0.2
+    """Pixels with a greater phase noise are LOW_AMPLITUDE: only far below it is the noise
+    of the arctangent Gaussian."""
+    pseudo_rows: NonNegativeInt = 0
+    """First rows of the image that carry the sensor's own data instead of light: SENSOR_FLAG."""
