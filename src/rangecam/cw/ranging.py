@@ -27,10 +27,10 @@ _A1, _A3, _A5, _A7, _A9, _A11, _A13 = (
 def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     """Return range, standard deviation and amplitude from four correlation samples a quarter period apart.
 
-    Planes phase_0, phase_90, phase_180, phase_270 (H, W) of any number type, each taken by its phase whatever the order
-    of capture (E-S-13). Range from Steinbäck 2016, eqs 2.2 (as atan2, E-S-30), 2.3 and 3.11-3.14, with offset and shift
-    into the unambiguous range on the phase; amplitude from alg 4.1. sigma_m is the noise of a sample, propagated through
-    the arctangent: sigma_phase = sigma / (sqrt(2) A) (N-S-051). Why is NOT_FINITE, NO_SIGNAL (four equal samples),
+    Planes phase_0, phase_90, phase_180, phase_270 (H, W) of any number type, each taken by its phase whatever the
+    order of capture (E-S-13). Range from Steinbäck 2016, eqs 2.2 (as atan2, E-S-30), 2.3 and 3.11-3.14, with offset and shift
+    into the unambiguous range on the phase; amplitude from alg 4.1. sigma_m is the noise of a sample, propagated
+    through the arctangent: sigma_phase = sigma / (sqrt(2) A) (N-S-051). Why is NOT_FINITE, NO_SIGNAL (four equal samples),
     SATURATED, LOW_AMPLITUDE or, in `pseudo_rows`, SENSOR_FLAG.
     Raises DataError for a missing or misshapen plane.
     """
