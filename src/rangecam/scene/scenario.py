@@ -1,0 +1,69 @@
+"""What exists in a simulation: a scenario is a TOML file, checked and turned into frozen settings."""
+
+import tomllib
+from importlib.resources import files
+
+from rangecam.config import parse
+from rangecam.errors import UsageError, did_you_mean
+from rangecam.scene.paths import EgoMotion, motion
+from rangecam.scene.shapes import SceneObject
+from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
+
+
+@settings
+class Scenario:
+    """Everything outside the camera: what there is, how it moves, and how light it is."""
+
+    name: str
+    """The name of its file."""
+    description: str
+    """What happens, in a phrase for people."""
+    preset: str
+    """The configuration that it is seen with unless another is asked for."""
+    duration_s: Positive
+    """How long it lasts."""
+    frame_rate_hz: Positive | None = None
+    """Images a second; none: as fast as the camera's settings say."""
+    subpixels: PositiveInt = 2
+    """Rays per pixel along each edge; more than one give mixed pixels at the edges of things."""
+    ambient_wpm2: NonNegative = 0.0
+    """Irradiance of everything by ambient light in the camera's band, W/m2."""
+    ground_reflectivity: Fraction | None = None
+    """Reflectivity of the ground at z = 0; none: no ground."""
+    ego: EgoMotion = EgoMotion()
+    """How the own vehicle drives."""
+    objects: tuple[SceneObject, ...] = ()
+    """The things in it."""
+
+
+def scenario_names() -> list[str]:
+    """Return the names of the scenarios that ship with rangecam, sorted."""
+    entries = files("rangecam").joinpath("scene", "scenarios").iterdir()
+    return sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml"))
+
+
+def load_scenario(name: str) -> Scenario:
+    """Return the scenario of that name; raises UsageError, with the names that exist, if there is none."""
+    known = scenario_names()
+    if name not in known:
+        raise UsageError(f"unknown scenario '{name}'{did_you_mean(name, known)}; scenarios: {', '.join(known)}")
+    return parse_scenario(name, files("rangecam").joinpath("scene", "scenarios", f"{name}.toml").read_text("utf-8"))
+
+
+def parse_scenario(name: str, text: str) -> Scenario:
+    """Return the scenario that a TOML text describes.
+
+    Raises UsageError that names the key and the value if something in it cannot be.
+    """
+    where = f"scenario '{name}'"
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"{where}: not a TOML file: {error}") from error
+    scenario = parse(Scenario, {**values, "name": name}, where)
+    for thing in scenario.objects:
+        try:
+            motion(thing.path, 0.0)
+        except UsageError as error:
+            raise UsageError(f"{where}: object '{thing.name}': {error}") from error
+    return scenario
