@@ -1,4 +1,4 @@
-"""The pulsed camera family."""
+"""The pulsed family: short light pulses, integrated in shutter windows or gates (König 2008)."""
 
 from rangecam.pulsed.ranging import RANGING
 from rangecam.pulsed.settings import PulsedCamera

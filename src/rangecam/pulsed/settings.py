@@ -1,18 +1,135 @@
 """The settings of a pulsed camera: everything that simulation and ranging need to know of it."""
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Gt, Interval, Len
 
 from rangecam.geometry import Lens
-from rangecam.settings import PositiveInt, settings
+from rangecam.settings import NonNegative, Positive, PositiveInt, settings
+from rangecam.types import SPEED_OF_LIGHT
+
+
+@settings
+class Laser:
+    """The light source (König 2008, 4.1.2 and 4.2.2)."""
+
+    peak_power_w: Positive = 2000.0
+    """Peak optical power of one module (eq 4.20, rounded as in the thesis)."""
+    modules: PositiveInt = 1
+    """Modules that light the whole field of view together (K-ILL-04)."""
+    repetition_hz: Positive = 10e3
+    """Pulses a second; 10 kHz is the thermal limit at full power (4.2.2.3)."""
+
+
+@settings
+class Pixel:
+    """The shutter pixel with its charge, accumulation and read-out (König 2008, 4.1.1 and 4.2); voltages at the output.
+
+    The thesis does not give the bits of the converter (K-PIX-14).
+    """
+
+    pitch_horizontal_m: Positive = 130e-6
+    pitch_vertical_m: Positive = 300e-6
+    sensitivity_apw: Positive = 0.1204
+    """Spectral sensitivity at the laser's wavelength, A/W; 0.1204 gives the measured 2617 V/(J/m2) (N-K-024)."""
+    diode_capacitance_f: Positive = 5.1e-12
+    sense_capacitance_f: Positive = 1e-12
+    follower_gain: Positive = 0.85
+    clamp_capacitance_f: Positive = 10e-12
+    feedback_capacitance_f: Positive = 2.5e-12
+    saturation_v: Positive = 1.5
+    """Largest output voltage (4.2.3.1)."""
+    accumulations: Annotated[tuple[Annotated[int, Interval(ge=1, le=255)], ...], Len(1)] = (1, 4, 16, 64, 100)
+    """Numbers of pulses at which the accumulated signal is read without destroying it (4.1.1.4)."""
+    damping: NonNegative = 0.0153
+    """Loss of the accumulated signal with every further pulse (eq 4.17); 0: none."""
+    sensor_noise_v: NonNegative = 0.379e-3
+    """sigma_S, noise of one accumulation (eq 4.22)."""
+    readout_noise_v: NonNegative = 0.442e-3
+    """sigma_R, noise of one read-out (eq 4.23)."""
+    photon_noise: bool = True
+    """Shot noise of laser and ambient light (eqs 4.24-4.28)."""
+    adc_bits: Annotated[int, Interval(ge=0, le=24)] = 12
+    """Bits of the converter over 0..saturation_v; 0: no rounding. *open*"""
+    noise_threshold_v: NonNegative = 0.0
+    """A signal (both shutters, or the long one) below it is LOW_AMPLITUDE (4.1.5); 0: `min_snr` alone decides."""
+
+
+@settings
+class Taps:
+    """The pixel of a sensor with three gates, in counts of its converter.
+
+    The noise was fitted to recordings of a Brookman BEC80T.
+    """
+
+    black_level_counts: float = 270.0
+    """Tap without any light."""
+    read_noise_counts: NonNegative = 3.05
+    """Standard deviation of a tap without light."""
+    shot_noise_counts2_per_count: NonNegative = 0.025
+    """Variance per count of light: one over the electrons per count."""
+    dark_frames: PositiveInt = 30
+    """Frames that were averaged into the dark image."""
+    saturation_counts: Positive = 4000.0
+    """A tap at or above it is saturated."""
+    noise_threshold_counts: NonNegative = 0.0
+    """Light of the pulse (all taps together) below it is LOW_AMPLITUDE; 0: `min_snr` alone decides."""
 
 
 @settings
 class PulsedCamera:
-    """A pulsed camera."""
+    """A camera that lights the scene with short pulses and integrates what returns in shutter windows.
+
+    Window a opens at `shutter_delay_s`, b opens when a closes, c spans both. The laser fires at `laser_delay_s`.
+    What the makers do not say is named *open*.
+    """
 
     kind: Literal["pulsed"] = "pulsed"
-    name: str = "generic"
-    rows: PositiveInt = 120
-    columns: PositiveInt = 160
-    frame_rate_hz: float = 30.0
-    lens: Lens = Lens()
+    name: str = "pulsed camera"
+    """What people call it."""
+    rows: PositiveInt = 8
+    """Height of the image, pixels (simulation)."""
+    columns: PositiveInt = 64
+    """Width of the image, pixels (simulation)."""
+    frame_rate_hz: Positive = 50.0
+    """Images a second (simulation)."""
+    lens: Lens = Lens(horizontal_fov_deg=29.95, vertical_fov_deg=8.83, projection="perspective")
+
+    readout: Literal["shutters", "three_tap"] = "shutters"
+    """shutters: one window after the other, on pulses of their own, with analogue accumulation; three_tap: three gates
+    on the same pulses (simulation)."""
+    shutters: Literal["ab", "ac", "bc", "abc"] = "ab"
+    """Windows taken, in this order: mdsi1 needs a and c, mdsi2 b and c, mdsi3 and mdsi4 a and b (simulation)."""
+    averages: PositiveInt = 1
+    """Images averaged into one (n_av of König 2008, 4.1.5)."""
+
+    pulse_width_s: Positive = 180e-9
+    """Width of the light pulse, at half of its height; it also is the measurement range, c/2 of it."""
+    laser_delay_s: float = 0.0
+    """T_DL: delay of the laser pulse."""
+    shutter_delay_s: float = 0.0
+    """T_DS: delay of the shutter windows."""
+    shutter_a_width_s: Positive | None = None
+    """T_Int,a; none: as long as the pulse."""
+    shutter_b_width_s: Positive | None = None
+    """T_Int,b; none: as long as the pulse."""
+    gate_width_s: Positive | None = None
+    """Width of each gate of a three-tap sensor; none: as long as the pulse."""
+    pulse_lead_s: NonNegative = 0.0
+    """Three-tap: how long before gate 2 opens the pulse is sent. If 0, tap 1 sees background only."""
+
+    offset_m: float = 0.0
+    """Added to every range."""
+    speed_of_light_mps: Positive = SPEED_OF_LIGHT
+    """3e8 reproduces the numbers of the thesis (X-01)."""
+    min_range_m: NonNegative = 0.0
+    """Nearer pixels are OUT_OF_RANGE, as are those outside of the method's own range (König 2008, eq 3.22)."""
+    max_range_m: Positive | None = None
+    """Farther pixels are OUT_OF_RANGE; none: the end of the method's own range."""
+    min_snr: Annotated[float, Gt(0)] = 6.0
+    """Pixels whose total signal is below so many of its standard deviations are LOW_AMPLITUDE: only above it is the
+    noise of the quotient Gaussian."""
+
+    laser: Laser = Laser()
+    pixel: Pixel = Pixel()
+    taps: Taps = Taps()

@@ -1,0 +1,67 @@
+"""The shutter pixel: light to volts, accumulation with its damping, and every part of its noise."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rangecam.pulsed.settings import Pixel
+from rangecam.types import Floats
+
+ELEMENTARY_CHARGE_C = 1.602176634e-19
+
+
+def volts_per_coulomb(pixel: Pixel) -> float:
+    """Return the output voltage per photo charge of one pulse, V/C (König 2008, eq 4.3).
+
+    The reference voltage and the sign of the raw output (eq 4.1) are taken off in the camera already.
+    """
+    capacitance_f = pixel.diode_capacitance_f + pixel.sense_capacitance_f
+    return pixel.follower_gain * pixel.clamp_capacitance_f / pixel.feedback_capacitance_f / capacitance_f
+
+
+def responsivity(pixel: Pixel) -> float:
+    """Return the output voltage per exposure of one pulse, V/(J/m2) (König 2008, eq 4.13)."""
+    area_m2 = pixel.pitch_horizontal_m * pixel.pitch_vertical_m
+    return pixel.sensitivity_apw * area_m2 * volts_per_coulomb(pixel)
+
+
+def damping(n_acc: ArrayLike, pixel: Pixel) -> Floats:
+    """Return what is left of an accumulated signal, 0..1, after `n_acc` >= 1 pulses (König 2008, eq 4.17)."""
+    n = np.asarray(n_acc, np.float64)
+    if pixel.damping == 0:
+        return np.ones_like(n)
+    return np.asarray(np.expm1(-pixel.damping * n) / (np.expm1(-pixel.damping) * n))
+
+
+def accumulated(single_v: ArrayLike, n_acc: ArrayLike, pixel: Pixel) -> Floats:
+    """Return the output voltage after `n_acc` pulses of `single_v` each (König 2008, eq 4.18)."""
+    return damping(n_acc, pixel) * np.asarray(n_acc, np.float64) * np.asarray(single_v, np.float64)
+
+
+def dark_noise(n_acc: ArrayLike, pixel: Pixel) -> Floats:
+    """Return sigma_U without light, V, before the damping that signal and noise share (König 2008, eq 4.21)."""
+    n = np.asarray(n_acc, np.float64)
+    return np.asarray(np.sqrt(n * pixel.sensor_noise_v**2 + pixel.readout_noise_v**2))
+
+
+def photon_noise(signal_v: ArrayLike, pixel: Pixel) -> Floats:
+    """Return sigma_PS, V, of an undamped accumulated signal (König 2008, eq 4.26); 0 if `photon_noise` is off."""
+    volts_per_electron = ELEMENTARY_CHARGE_C * volts_per_coulomb(pixel) if pixel.photon_noise else 0.0
+    return np.asarray(np.sqrt(volts_per_electron * np.maximum(signal_v, 0.0)))
+
+
+def step_v(pixel: Pixel) -> float:
+    """Return the step of the converter, V; 0 if it does not round."""
+    return pixel.saturation_v / (2**pixel.adc_bits - 1) if pixel.adc_bits else 0.0
+
+
+def output_variance(signal_v: ArrayLike, n_acc: ArrayLike, ambient_v: ArrayLike, pixel: Pixel) -> Floats:
+    """Return the variance, V2, of a shutter value as it is read.
+
+    signal_v: the damped value itself; n_acc: its accumulations; ambient_v: background voltage of one exposure, before
+    the correlated double sampling. The noise is damped as the signal is (4.2.3.1; E-K-10): d2 sigma_U*2 (eq 4.28),
+    in which the shot noise belongs to the undamped signal U / d. The background adds its shot noise twice, with the
+    laser on and off. Rounding adds a twelfth of the squared step.
+    """
+    d = damping(n_acc, pixel)
+    light_v = np.maximum(signal_v, 0.0) / d + 2 * np.asarray(n_acc) * np.asarray(ambient_v)
+    return d**2 * (dark_noise(n_acc, pixel) ** 2 + photon_noise(light_v, pixel) ** 2) + step_v(pixel) ** 2 / 12
