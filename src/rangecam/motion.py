@@ -1,0 +1,120 @@
+"""How objects move between two frames: the matrices F and Q of the motion models.
+
+All models share the nine-element state of `types.STATE`: position, velocity, acceleration of each axis (K-KAL-01). The
+axes move alike and on their own, so F and Q are the (3, 3) block of one axis, three times on the diagonal (eq 6.28).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+from rangecam.settings import NonNegative, Positive, settings
+from rangecam.types import Floats
+
+
+@settings
+class MotionSettings:
+    """How objects are expected to move."""
+
+    model: Literal["constant_acceleration", "wiener_acceleration", "singer"] = "constant_acceleration"
+    """constant_acceleration: the acceleration drifts (white jerk); wiener_acceleration: it takes one random step a
+    frame (the thesis); singer: it drifts and dies away."""
+    drift_mps2: NonNegative = 3.0
+    """Standard deviation by which the acceleration drifts within one second; its square is the spectral density of
+    the jerk, m2/s5. For constant_acceleration and singer."""
+    step_mps2: NonNegative = 1.0
+    """Standard deviation of the acceleration's step in each frame (sigma_w of König eq 6.32). For
+    wiener_acceleration."""
+    memory_s: Positive = 1.0
+    """Time after which 63 % of an acceleration has died away. For singer."""
+
+
+def constant_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
+    """Return F and Q, (3, 3) for each axis, for an acceleration that drifts as a Wiener process (white jerk).
+
+    F is König 2008, eq 6.18, with the true time between the frames. Q is the integral of the jerk over that time, so
+    that two short steps are exactly one long one: a dropped frame or another frame rate changes nothing. The thesis'
+    own Q (eq 6.33) lacks this; it is `wiener_acceleration`.
+    """
+    return _constant_acceleration(dt_s, settings.drift_mps2**2)
+
+
+@njit(cache=True, nogil=True)
+def _constant_acceleration(T: float, q: float) -> tuple[Floats, Floats]:
+    Q = np.empty((3, 3))
+    Q[0, 0], Q[0, 1], Q[0, 2] = q * T**5 / 20, q * T**4 / 8, q * T**3 / 6
+    Q[1, 0], Q[1, 1], Q[1, 2] = q * T**4 / 8, q * T**3 / 3, q * T**2 / 2
+    Q[2, 0], Q[2, 1], Q[2, 2] = q * T**3 / 6, q * T**2 / 2, q * T
+    return _transition(T, T * T / 2, T, 1.0), Q
+
+
+@njit(cache=True, nogil=True)
+def _transition(T: float, a_to_x: float, a_to_v: float, a_to_a: float) -> Floats:
+    F = np.zeros((3, 3))
+    F[0, 0], F[0, 1], F[0, 2] = 1.0, T, a_to_x
+    F[1, 1], F[1, 2] = 1.0, a_to_v
+    F[2, 2] = a_to_a
+    return F
+
+
+def wiener_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
+    """Return F and Q, (3, 3) for each axis, of König 2008, eq 6.18 and 6.33: a step of the acceleration in each frame.
+
+    The step is as large whether the frame was long or short, so sigma_w belongs to a frame rate; in a gap the
+    uncertainty grows only as if the one step had come at its start.
+    """
+    return _wiener_acceleration(dt_s, settings.step_mps2**2)
+
+
+@njit(cache=True, nogil=True)
+def _wiener_acceleration(T: float, variance: float) -> tuple[Floats, Floats]:
+    Q = np.empty((3, 3))
+    gamma = (T * T / 2, T, 1.0)  # eq 6.20
+    for a in range(3):
+        for b in range(3):
+            Q[a, b] = variance * gamma[a] * gamma[b]  # eq 6.32
+    return _transition(T, T * T / 2, T, 1.0), Q
+
+
+def singer(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
+    """Return F and Q, (3, 3) for each axis, for an acceleration that drifts and dies away (Singer 1970).
+
+    da/dt = -a / memory_s + jerk. For long memories this is `constant_acceleration`, for short ones constant velocity.
+    """
+    return _singer(dt_s, settings.drift_mps2**2, 1 / settings.memory_s)
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+@njit(cache=True, nogil=True)
+def _singer(T: float, q: float, rate: float) -> tuple[Floats, Floats]:
+    """Integrate the response to the jerk numerically: the closed form of Q loses all digits for small rate * T."""
+    Q = np.zeros((3, 3))
+    for node in range(_NODES.size):
+        response = _response(T * (1 + _NODES[node]) / 2, rate)
+        for a in range(3):
+            for b in range(3):
+                Q[a, b] += q * _WEIGHTS[node] * T / 2 * response[a] * response[b]
+    a_to_x, a_to_v, a_to_a = _response(T, rate)
+    return _transition(T, a_to_x, a_to_v, a_to_a), Q
+
+
+@njit(cache=True, nogil=True)
+def _response(t: float, rate: float) -> tuple[float, float, float]:
+    """Return what an acceleration of 1 has made of position, velocity and acceleration after t."""
+    u = rate * t
+    to_v = -math.expm1(-u)
+    to_x = u - to_v if u > 1e-3 else u * u * (0.5 - u / 6 + u * u / 24)
+    return to_x / rate**2, to_v / rate, math.exp(-u)
+
+
+MOTION: dict[str, Callable[[float, MotionSettings], tuple[Floats, Floats]]] = {
+    "constant_acceleration": constant_acceleration,
+    "wiener_acceleration": wiener_acceleration,
+    "singer": singer,
+}
+"""Motion models by name: (seconds between the frames, settings) -> F, Q of one axis."""
