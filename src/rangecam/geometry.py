@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
+from numba import njit
 
 from rangecam.settings import settings
-from rangecam.types import Floats
+from rangecam.types import Floats, RangeImage
 
 
 @settings
@@ -86,6 +87,110 @@ def rotation(mounting: Mounting) -> Floats:
 def position(mounting: Mounting) -> Floats:
     """Return the camera centre in vehicle axes: (3,) m."""
     return np.array([mounting.x_m, mounting.y_m, mounting.z_m])
+
+
+@lru_cache(maxsize=16)
+def vehicle_rays(lens: Lens, mounting: Mounting, shape: tuple[int, int]) -> Floats:
+    """Return the unit direction of every pixel's centre in vehicle axes: (H, W, 3) float32, shared and read-only."""
+    turned: Floats = np.ascontiguousarray(rays(lens, shape) @ rotation(mounting).T, dtype=np.float32)
+    turned.setflags(write=False)
+    return turned
+
+
+def to_world(image: RangeImage, lens: Lens, mounting: Mounting) -> Floats:
+    """Return the point that each pixel sees, in vehicle axes: (H, W, 3) float32 m.
+
+    P_W = R^T P_C + C_W with C_W the camera centre (König 2008, eq 6.10 corrected, E-K-19). NaN where the range is NaN;
+    points of invalid pixels mean nothing.
+    """
+    points = np.empty((*image.shape, 3), np.float32)
+    _points(image.range_m, vehicle_rays(lens, mounting, image.shape), position(mounting).astype(np.float32), points)
+    return points
+
+
+@njit(cache=True, nogil=True)
+def _points(range_m: Floats, ray: Floats, centre: Floats, points: Floats) -> None:
+    for row in range(range_m.shape[0]):
+        for column in range(range_m.shape[1]):
+            for axis in range(3):
+                points[row, column, axis] = range_m[row, column] * ray[row, column, axis] + centre[axis]
+
+
+def to_camera(points_m: Floats, mounting: Mounting) -> Floats:
+    """Return points given in vehicle axes in camera axes: (..., 3) m, the inverse of the turn and shift of `to_world`.
+
+    P_C = R (P_W - C_W) (König 2008, eq 6.6 corrected, E-K-18, E-K-19).
+    """
+    turned: Floats = (points_m - position(mounting)) @ rotation(mounting)
+    return turned
+
+
+def polar(points_m: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return azimuth (left positive), elevation (up positive) and range of points in camera axes (..., 3): rad, rad, m.
+
+    Elevation is the angle above the xy-plane (König 2008, eq 6.3 corrected, E-K-17), so that eq 6.5 inverts it.
+    """
+    x, y, z = points_m[..., 0], points_m[..., 1], points_m[..., 2]
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)), np.linalg.norm(points_m, axis=-1)
+
+
+def cartesian(azimuth_rad: Floats, elevation_rad: Floats, range_m: Floats) -> Floats:
+    """Return the points (..., 3) in camera axes of azimuth, elevation and range (König 2008, eq 6.5)."""
+    level = np.cos(elevation_rad)
+    direction = [level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)]
+    points: Floats = np.stack(direction, axis=-1) * np.asarray(range_m)[..., None]
+    return points
+
+
+def angle_sigmas(points_m: Floats, sigma_px: Floats, lens: Lens, shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return the standard deviations of azimuth and elevation (rad) that uncertain image positions cause.
+
+    points_m (N, 3) in camera axes; sigma_px (N, 2): standard deviation across columns and rows, in pixels.
+    Perspective: the derivatives of azimuth and of the corrected elevation by the position on the sensor (König 2008,
+    eqs 6.38-6.39, E-K-17), the other coordinate held; equiangular: a pixel is the same angle everywhere.
+    """
+    pitch_h, pitch_v = pixel_pitch(lens, shape)
+    if lens.projection == "equiangular":
+        return sigma_px[:, 0] * pitch_h, sigma_px[:, 1] * pitch_v
+    tan_h, tan_v = points_m[:, 1] / points_m[:, 0], points_m[:, 2] / points_m[:, 0]
+    level2 = 1 + tan_h**2
+    return sigma_px[:, 0] * pitch_h / level2, sigma_px[:, 1] * pitch_v * np.sqrt(level2) / (level2 + tan_v**2)
+
+
+def pixel_pitch(lens: Lens, shape: tuple[int, int]) -> tuple[float, float]:
+    """Return the step from column to column and from row to row: rad (equiangular) or of the tangent (perspective)."""
+    height, width = shape
+    half_h = math.radians(lens.horizontal_fov_deg / 2)
+    half_v = None if lens.vertical_fov_deg is None else math.radians(lens.vertical_fov_deg / 2)
+    if lens.projection == "perspective":
+        half_h, half_v = math.tan(half_h), None if half_v is None else math.tan(half_v)
+    pitch_h = 2 * half_h / width
+    return pitch_h, pitch_h if half_v is None else 2 * half_v / height
+
+
+def polar_covariance(
+    azimuth_rad: Floats, elevation_rad: Floats, range_m: Floats, sigmas: tuple[Floats, Floats, Floats]
+) -> Floats:
+    """Return the covariance in camera axes of points known in polar coordinates: (N, 3, 3) m2.
+
+    azimuth, elevation, range (N,); sigmas: their standard deviations (rad, rad, m), independent of each other
+    (König 2008, eqs 6.34-6.37; the Jacobian with its signs, E-K-22).
+    """
+    (cos_a, sin_a), (cos_e, sin_e) = ((np.cos(a), np.sin(a)) for a in (azimuth_rad, elevation_rad))
+    jacobian = np.zeros((len(cos_a), 3, 3))
+    jacobian[:, 0] = np.stack([-range_m * sin_a * cos_e, -range_m * cos_a * sin_e, cos_a * cos_e], axis=-1)
+    jacobian[:, 1] = np.stack([range_m * cos_a * cos_e, -range_m * sin_a * sin_e, sin_a * cos_e], axis=-1)
+    jacobian[:, 2] = np.stack([np.zeros_like(sin_e), range_m * cos_e, sin_e], axis=-1)
+    scaled = jacobian * np.stack(sigmas, axis=-1)[:, None, :]
+    covariance: Floats = scaled @ scaled.transpose(0, 2, 1)
+    return covariance
+
+
+def turn_covariance(covariance_m2: Floats, mounting: Mounting) -> Floats:
+    """Return covariances (N, 3, 3) given in camera axes in vehicle axes: R^T C R (König 2008, 6.4.3.3, E-K-22)."""
+    matrix = rotation(mounting)
+    turned: Floats = matrix @ covariance_m2 @ matrix.T
+    return turned
 
 
 def _tan_half(angle_deg: float) -> float:

@@ -1,0 +1,57 @@
+"""From a range image to a clean one: fewer valid pixels, less noise, sigma kept true.
+
+Every stage only refuses pixels, with a reason, or lowers their noise: a pixel that came in invalid stays so.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from rangecam.clean.filters import cut, judge, smooth
+from rangecam.clean.limits import area_of_interest, floor_limit, neighbours_needed, weakest_amplitudes
+from rangecam.clean.settings import CleanSettings
+from rangecam.geometry import Lens, Mounting
+from rangecam.types import RangeImage
+
+__all__ = ["STAGES", "CleanSettings", "clean", "clean_stages"]
+
+STAGES = ("amplitude", "neighbourhood", "median", "floor", "area")
+"""The stages of cleaning, in their order."""
+
+_OFF: tuple[dict[str, Any], ...] = (  # what switches off each of STAGES
+    {"amplitude_threshold": 0.0, "wrap_threshold": 0.0},
+    {"min_neighbours": 0, "discard_border": False},
+    {"median": "off"},
+    {"floor": "off"},
+    {"x_min_m": None, "x_max_m": None, "width_m": None, "z_min_m": None, "z_max_m": None},
+)
+
+
+def clean(image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSettings) -> RangeImage:
+    """Refuse pixels that cannot be trusted or do not matter, and smooth the rest.
+
+    Amplitude thresholds and the test for common neighbours both judge the image as it came (Steinbäck 2016, alg 4.2);
+    the median takes what they left; floor and area of interest are cut from its result.
+    """
+    limits = weakest_amplitudes(lens, image.shape, settings), neighbours_needed(image.shape, settings)
+    range_m, sigma_m, amplitude = (
+        np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m, image.amplitude)
+    )
+    why, neighbourhood = judge(range_m, sigma_m, amplitude, image.why, limits, settings)
+    if settings.median != "off":
+        range_m, sigma_m = smooth(range_m, sigma_m, neighbourhood, settings)
+    floor = floor_limit(range_m, why, lens, mounting, settings)
+    near, far = area_of_interest(lens, mounting, image.shape, settings)
+    why = cut(range_m, sigma_m, why, (floor, near, far), settings)
+    return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
+
+
+def clean_stages(
+    image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSettings
+) -> Iterator[tuple[str, RangeImage]]:
+    """Yield the name of each of `STAGES` and the image cleaned up to it; the last is the result of `clean`."""
+    for number, stage in enumerate(STAGES, start=1):
+        off = {key: value for later in _OFF[number:] for key, value in later.items()}
+        yield stage, clean(image, lens, mounting, dataclasses.replace(settings, **off))

@@ -1,0 +1,56 @@
+"""What can be set about cleaning."""
+
+from typing import Annotated, Literal
+
+from annotated_types import Interval
+
+from rangecam.settings import Fraction, NonNegative, Positive, settings
+
+
+@settings
+class CleanSettings:
+    """What is cleaned, and how strictly."""
+
+    amplitude_threshold: NonNegative = 0.0
+    """A pixel weaker than this fraction of the reference amplitude is LOW_AMPLITUDE (c_th1); 0: off."""
+    wrap_threshold: NonNegative = 0.0
+    """A pixel whose amplitude times squared depth is below this fraction of the reference is WRAPPED (c_th2); 0: off.
+
+    An object beyond the unambiguous range seems near but sends little light. Dark near objects are lost too.
+    """
+    reference_amplitude: Positive = 145.0
+    """Amplitude of a white surface at 1 m in the image centre, in the unit of the sensor."""
+    reference_floor: Fraction = 10 / 145
+    """Part of the reference that does not fall off towards the image border."""
+    reference_falloff: NonNegative = 7.0
+    """Exponent of the cosines of azimuth and elevation by which the rest of the reference falls off."""
+    min_neighbours: Annotated[int, Interval(ge=0, le=8)] = 3
+    """How many of the 8 neighbours must be common neighbours, else the pixel is ISOLATED; fewer at the image border."""
+    neighbour_tolerance_m: NonNegative = 0.1
+    """Two pixels are common neighbours up to this difference of range, ..."""
+    neighbour_tolerance_sigmas: NonNegative = 3.0
+    """... plus so many standard deviations of the difference."""
+    discard_border: bool = False
+    """Refuse the outermost rows and columns, which have no full neighbourhood (BORDER)."""
+    median: Literal["off", "3x1", "3x3"] = "3x3"
+    """Median over the valid pixels around each valid pixel: 3 columns in 1 row, or 3 in 3."""
+    median_across_edges: bool = False
+    """Let the median take every valid neighbour, not only common neighbours; sigma is then too small at edges."""
+    floor: Literal["off", "mounting", "fit"] = "off"
+    """Remove the floor: where the mounting says it is, or where a plane fits the far side of the image."""
+    floor_max_tilt_deg: Annotated[float, Interval(ge=0, le=90)] = 20.0
+    """A fitted plane that leans further than this away from the floor of the mounting is no floor: nothing is removed."""
+    floor_margin_m: NonNegative = 0.1
+    """Height above the floor up to which a point belongs to it."""
+    floor_margin_sigmas: NonNegative = 2.0
+    """The same in standard deviations of the range, in addition."""
+    x_min_m: float | None = None
+    """Area of interest, a box in vehicle axes: beginning ahead of the vehicle's reference point; none: no limit."""
+    x_max_m: float | None = None
+    """End of the area of interest."""
+    width_m: Positive | None = None
+    """Full width of the area of interest, half of it on either side."""
+    z_min_m: float | None = None
+    """Lower side of the area of interest."""
+    z_max_m: float | None = None
+    """Upper side of the area of interest."""

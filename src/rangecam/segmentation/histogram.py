@@ -1,0 +1,145 @@
+"""Segmentation by the histogram of distances: what lies between two minima is one object."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rangecam.errors import DataError
+from rangecam.segmentation.settings import SegmentSettings
+from rangecam.types import Floats, Ints, RangeImage
+
+MAX_BINS = 10_000
+"""Most bins that a histogram may need before it is taken for a mistake in the data or the bin width."""
+
+
+def range_histogram(image: RangeImage, points: Floats, settings: SegmentSettings) -> Ints:
+    """Cut the distances of the valid pixels at minima of their histogram: labels (H, W) int32, nearest first.
+
+    The histogram is smoothed, minima and very small bins are possible borders, and borders must keep objects with
+    enough pixels, a high enough peak and clear, similar minima apart (Steinbäck 2016, 3.5.3, 4.5.3, eq 2.13; eq 2.14
+    corrected, E-S-11). Objects at the same distance become one (S-SEG-04). Raises DataError if the distances spread
+    over more than `MAX_BINS` bins.
+    """
+    distance = points[..., 0] if settings.histogram_of == "depth" else image.range_m
+    low, high = _spread(distance, image.why)
+    labels = np.zeros(image.shape, np.int32)
+    if low > high:
+        return labels
+    bins = math.floor((high - low) / settings.bin_width_m) + 1
+    if not bins <= MAX_BINS:
+        raise DataError(
+            f"valid distances from {low:.3g} to {high:.3g} m need {bins} bins of {settings.bin_width_m} m; "
+            f"at most {MAX_BINS}: check the data, or set segments.bin_width_m"
+        )
+    counts = np.zeros(bins, np.int64)
+    _count(distance, image.why, low, settings.bin_width_m, counts)
+    label_of_bin = _label_bins(counts, settings)
+    _label(distance, image.why, low, settings.bin_width_m, label_of_bin, labels)
+    return labels
+
+
+@njit(cache=True, nogil=True)
+def _spread(distance: Floats, why: Ints) -> tuple[float, float]:
+    low, high = np.inf, -np.inf
+    for row in range(why.shape[0]):
+        for column in range(why.shape[1]):
+            value = float(distance[row, column])
+            low = value if why[row, column] == 0 and value < low else low
+            high = value if why[row, column] == 0 and value > high else high
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def _count(distance: Floats, why: Ints, low: float, width: float, counts: Ints) -> None:
+    for row in range(why.shape[0]):
+        for column in range(why.shape[1]):
+            if why[row, column] == 0:
+                counts[int((distance[row, column] - low) / width)] += 1
+
+
+@njit(cache=True, nogil=True)
+def _label(distance: Floats, why: Ints, low: float, width: float, label_of_bin: Ints, labels: Ints) -> None:
+    for row in range(why.shape[0]):
+        for column in range(why.shape[1]):
+            if why[row, column] == 0:
+                labels[row, column] = label_of_bin[int((distance[row, column] - low) / width)]
+
+
+def _label_bins(counts: Ints, settings: SegmentSettings) -> Ints:
+    """Return the label of each bin, 0 for none."""
+    half = settings.smoothing_bins // 2
+    criteria = (settings.min_pixels, settings.min_peak, settings.max_valley_to_peak, settings.max_valley_difference)
+    labels = np.zeros(len(counts), np.int32)
+    _divide(counts, half, settings.small_bin, criteria, labels)
+    return labels
+
+
+@njit(cache=True, nogil=True)
+def _divide(counts: Ints, half: int, small: float, criteria: tuple[float, float, float, float], labels: Ints) -> None:
+    """Number the objects in the runs of bins that are not very small; bins outside the histogram count as empty."""
+    bins = len(counts)
+    smoothed = np.zeros(bins)
+    for place in range(bins):
+        for other in range(max(0, place - half), min(bins, place + half + 1)):
+            smoothed[place] += counts[other] / (2 * half + 1)
+    first, label = 0, 0
+    while first < bins:
+        end = first
+        while end < bins and smoothed[end] > small:
+            end += 1
+        if end > first:
+            borders = _minima(smoothed, first, end)
+            while len(borders) > 2:
+                worst = _worst(smoothed, borders, criteria[2], criteria[3])
+                if worst < 0:
+                    break
+                borders.pop(worst)
+            for place in range(len(borders) - 1):
+                low, high = borders[place], borders[place + 1]
+                if counts[low:high].sum() >= criteria[0] and smoothed[low:high].max() >= criteria[1]:
+                    label += 1
+                    labels[low:high] = label
+        first = end + 1
+
+
+@njit(cache=True, nogil=True)
+def _minima(smoothed: Floats, first: int, end: int) -> list[int]:
+    """Return the borders of a run: its first bin, the middle of each minimum, the bin after its last.
+
+    A minimum is where the derivative (eq 2.13) rises after the last change before it was a fall (E-S-11).
+    """
+    borders = [first]
+    low = -1  # first bin after the last fall, -1 after a rise or none
+    for place in range(first + 1, end):
+        derivative = smoothed[place] - smoothed[place - 1]
+        if derivative < -_EQUAL:
+            low = place
+        elif derivative > _EQUAL:
+            if low >= 0:
+                borders.append((low + place) // 2)
+            low = -1
+    borders.append(end)
+    return borders
+
+
+_EQUAL = 1e-9  # averages of whole numbers of pixels differ by more than this or by rounding
+
+
+@njit(cache=True, nogil=True)
+def _worst(smoothed: Floats, borders: list[int], max_ratio: float, max_difference: float) -> int:
+    """Return the border that separates least, -1 if all separate well enough.
+
+    A border is too weak by how far its minimum exceeds the allowed part of the lower peak beside it, or exceeds the
+    minimum on the other side of a peak by more than the allowed part of that peak.
+    """
+    worst, excess = -1, 0.0
+    for place in range(1, len(borders) - 1):
+        minimum = smoothed[borders[place]]
+        for low, high, other in ((place - 1, place, place - 1), (place, place + 1, place + 1)):
+            peak = smoothed[borders[low] : borders[high]].max()
+            opposite = smoothed[borders[other]] if 0 < other < len(borders) - 1 else 0.0
+            over = max(minimum / peak - max_ratio, (minimum - opposite) / peak - max_difference)
+            if over > excess:
+                worst, excess = place, over
+    return worst
