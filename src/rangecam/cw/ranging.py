@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from rangecam.cw.settings import CwCamera
+from rangecam.cw.signal import metres_per_radian, sample_variance
 from rangecam.errors import DataError
 from rangecam.types import Image, RangeImage, RawFrame, Why
 
@@ -27,21 +28,20 @@ _A1, _A3, _A5, _A7, _A9, _A11, _A13 = (
 def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     """Return range, standard deviation and amplitude from four correlation samples a quarter period apart.
 
-    Planes phase_0, phase_90, phase_180, phase_270 (H, W) of any number type, each taken by its phase whatever the
-    order of capture (E-S-13). Range from Steinbäck 2016, eqs 2.2 (as atan2, E-S-30), 2.3 and 3.11-3.14, with offset and shift
-    into the unambiguous range on the phase; amplitude from alg 4.1. sigma_m is the noise of a sample, propagated
-    through the arctangent: sigma_phase = sigma / (sqrt(2) A) (N-S-051). Why is NOT_FINITE, NO_SIGNAL (four equal samples),
+    Planes phase_0, phase_90, phase_180, phase_270 (H, W) of any number type, each taken by its phase whatever the order
+    of capture (E-S-13). Range from Steinbäck 2016, eqs 2.2 (as atan2, E-S-30), 2.3 and 3.11-3.14; offset and shift into
+    the unambiguous range on the phase. Amplitude from alg 4.1. sigma_m is the noise of a sample propagated through the
+    arctangent: sigma_phase = sigma / (sqrt(2) A) (N-S-051). Why is NOT_FINITE, NO_SIGNAL (four equal samples),
     SATURATED, LOW_AMPLITUDE or, in `pseudo_rows`, SENSOR_FLAG.
     Raises DataError for a missing or misshapen plane.
     """
     c0, c90, c180, c270 = (_samples(raw, name) for name in PLANES)
     range_m, sigma_m, amplitude = (np.empty(c0.shape, np.float32) for _ in range(3))
     why = np.empty(c0.shape, np.uint8)
-    metres_per_rad = camera.speed_of_light_mps / (4 * math.pi * camera.modulation_hz)  # Steinbäck 2016, eq 3.12
+    metres_per_rad = metres_per_radian(camera)
     single_ended = camera.pixel == "single_ended"
-    floor_variance = camera.read_noise_lsb**2 + camera.quantisation_lsb**2 / 12
-    if not single_ended:
-        floor_variance += camera.shot_noise_lsb2_per_lsb * camera.ambient_lsb
+    known_light = 0.0 if single_ended else camera.ambient_lsb
+    floor_variance = float(sample_variance(known_light, camera)) + camera.quantisation_lsb**2 / 12
     settings = np.array(
         [
             camera.phase_sign,

@@ -16,7 +16,7 @@ class CwCamera:
     """A camera that lights the scene with modulated light and samples its correlation at four phase steps.
 
     Levels and amplitudes are in LSB of the samples. The noise model is one for simulation and ranging alike
-    (`cw.signal.sample_variance`). What a camera's maker does not say is named *open* below.
+    (`cw.signal`). What a camera's maker does not say is named *open* below.
     """
 
     kind: Literal["cw"] = "cw"
@@ -68,3 +68,20 @@ class CwCamera:
     of the arctangent Gaussian."""
     pseudo_rows: NonNegativeInt = 0
     """First rows of the image that carry the sensor's own data instead of light: SENSOR_FLAG."""
+
+    illumination_time_s: Positive = 2e-3
+    """Exposure of one phase image (simulation); amplitudes grow with it."""
+    readout_time_s: NonNegative = 1.23e-3
+    """Pause after each phase image (simulation); measured, not explained by the pixel clock (E-S-14)."""
+    capture_order: tuple[PhaseStep, PhaseStep, PhaseStep, PhaseStep] = (0, 180, 90, 270)
+    """Phase steps in the order of their exposure (simulation): PS registers 0000 0888 0444 0CCC (E-S-13)."""
+    reference_amplitude_lsb: Positive = 145.0
+    """Amplitude in the image centre of a white plane 1 m before the camera, lit for 2 ms (simulation; Steinbäck 2016,
+    A.5)."""
+    reference_floor_lsb: NonNegative = 10.0
+    """The part of it that does not fall off towards the image border (simulation; A.5)."""
+    reference_exponent: NonNegative = 7.0
+    """Power of the cosines of azimuth and elevation with which the rest falls off (simulation; A.5)."""
+    ambient_lsb_per_wpm2: NonNegative = 60.0
+    """Light level of a white surface by 1 W/m2 of ambient light in the camera's band, 2 ms (simulation); *open*: 3.4 W
+    of the camera's own light over 80 x 60 degrees make the level of the reference."""

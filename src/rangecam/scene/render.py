@@ -145,20 +145,22 @@ def _center_and_half_size(shape: Box | Cylinder) -> tuple[tuple[float, float, fl
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast(directions, cones, shapes, range_m, reflectivity, cos_incidence, object_id):  # type: ignore[no-untyped-def]
     """Keep the nearest hit of each ray; a run of rays skips shapes whose bounding sphere its cone does not touch."""
+    x, y, z = directions[0], directions[1], directions[2]
+    range_m[:] = np.inf
+    reflectivity[:] = 0
+    cos_incidence[:] = 0
+    object_id[:] = 0
     for run in range(cones.shape[0]):
-        first = run * _RUN
-        last = min(first + _RUN, directions.shape[1])
-        range_m[first:last] = np.inf
-        reflectivity[first:last] = 0
-        cos_incidence[first:last] = 0
-        object_id[first:last] = 0
+        rays_of_run = slice(run * _RUN, (run + 1) * _RUN)
+        ray = (x[rays_of_run], y[rays_of_run], z[rays_of_run])
+        hit = (range_m[rays_of_run], reflectivity[rays_of_run], cos_incidence[rays_of_run], object_id[rays_of_run])
         for shape in shapes:
             if not _may_touch(cones[run], shape):
                 continue
             if shape[0] == 1:
-                _cast_cylinder(directions, first, last, shape, range_m, reflectivity, cos_incidence, object_id)
+                _cast_cylinder(ray, shape, *hit)
             else:
-                _cast_box(directions, first, last, shape, range_m, reflectivity, cos_incidence, object_id)
+                _cast_box(ray, shape, *hit)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -176,9 +178,7 @@ def _may_touch(cone, shape):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_box(  # type: ignore[no-untyped-def]
-    directions, first, last, shape, range_m, reflectivity, cos_incidence, object_id
-):
+def _cast_box(ray, shape, range_m, reflectivity, cos_incidence, object_id):  # type: ignore[no-untyped-def]
     """A ray is inside a box while it is between all three pairs of faces; the last one entered is the face it hits."""
     c, s = np.float32(shape[4]), np.float32(shape[5])
     ox = np.float32(-(shape[4] * shape[1] + shape[5] * shape[2]))
@@ -186,8 +186,9 @@ def _cast_box(  # type: ignore[no-untyped-def]
     oz = np.float32(-shape[3])
     hx, hy, hz = np.float32(shape[6]), np.float32(shape[7]), np.float32(shape[8])
     rho, number = np.float32(shape[9]), np.int32(shape[10])
-    for i in range(first, last):
-        east, north, up = directions[0, i], directions[1, i], directions[2, i]
+    for i in range(range_m.size):
+        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        east, north, up = ray[0][i], ray[1][i], ray[2][i]
         dx, dy, dz = _not_zero(c * east + s * north), _not_zero(c * north - s * east), _not_zero(up)
         in_x, out_x = _between(ox, dx, hx)
         in_y, out_y = _between(oy, dy, hy)
@@ -198,24 +199,23 @@ def _cast_box(  # type: ignore[no-untyped-def]
         enter = in_z if in_z > enter else enter
         leave = out_x if out_x < out_y else out_y
         leave = out_z if out_z < leave else leave
-        hit = (enter > 0) & (enter <= leave) & (enter < range_m[i])
-        range_m[i] = enter if hit else range_m[i]
-        reflectivity[i] = rho if hit else reflectivity[i]
-        cos_incidence[i] = cosine if hit else cos_incidence[i]
-        object_id[i] = number if hit else object_id[i]
+        hit = (enter > 0) & (enter <= leave) & (enter < known[0])
+        range_m[i] = enter if hit else known[0]
+        reflectivity[i] = rho if hit else known[1]
+        cos_incidence[i] = cosine if hit else known[2]
+        object_id[i] = number if hit else known[3]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_cylinder(  # type: ignore[no-untyped-def]
-    directions, first, last, shape, range_m, reflectivity, cos_incidence, object_id
-):
+def _cast_cylinder(ray, shape, range_m, reflectivity, cos_incidence, object_id):  # type: ignore[no-untyped-def]
     """A ray is inside a cylinder while it is inside the circle and between the ends."""
     ox, oy, oz = np.float32(-shape[1]), np.float32(-shape[2]), np.float32(-shape[3])
     radius, half = np.float32(shape[6]), np.float32(shape[8])
     rho, number = np.float32(shape[9]), np.int32(shape[10])
     zero = np.float32(0)
-    for i in range(first, last):
-        dx, dy, dz = directions[0, i], directions[1, i], _not_zero(directions[2, i])
+    for i in range(range_m.size):
+        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        dx, dy, dz = ray[0][i], ray[1][i], _not_zero(ray[2][i])
         flat2 = _not_zero(dx * dx + dy * dy)
         along = ox * dx + oy * dy
         across = ox * dy - oy * dx
@@ -228,17 +228,18 @@ def _cast_cylinder(  # type: ignore[no-untyped-def]
         leave = out_round if out_round < out_z else out_z
         # the normal of the side is the horizontal radius at the hit: cos = -(o + t d) . d / radius = root / radius
         cosine = root / radius if side else abs(dz)
-        hit = (square > zero) & (enter > zero) & (enter <= leave) & (enter < range_m[i])
-        range_m[i] = enter if hit else range_m[i]
-        reflectivity[i] = rho if hit else reflectivity[i]
-        cos_incidence[i] = cosine if hit else cos_incidence[i]
-        object_id[i] = number if hit else object_id[i]
+        hit = (square > zero) & (enter > zero) & (enter <= leave) & (enter < known[0])
+        range_m[i] = enter if hit else known[0]
+        reflectivity[i] = rho if hit else known[1]
+        cos_incidence[i] = cosine if hit else known[2]
+        object_id[i] = number if hit else known[3]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _between(start, direction, half):  # type: ignore[no-untyped-def]
     """Return where a ray enters and leaves the slab from -half to half."""
-    one, other = (-half - start) / direction, (half - start) / direction
+    inverse = np.float32(1) / direction
+    one, other = (-half - start) * inverse, (half - start) * inverse
     return (one if one < other else other), (other if one < other else one)
 
 
