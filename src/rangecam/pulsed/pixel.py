@@ -1,7 +1,7 @@
 """The shutter pixel: light to volts, accumulation with its damping, and every part of its noise."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rangecam.pulsed.settings import Pixel
 from rangecam.types import Floats
@@ -54,14 +54,53 @@ def step_v(pixel: Pixel) -> float:
     return pixel.saturation_v / (2**pixel.adc_bits - 1) if pixel.adc_bits else 0.0
 
 
-def output_variance(signal_v: ArrayLike, n_acc: ArrayLike, ambient_v: ArrayLike, pixel: Pixel) -> Floats:
-    """Return the variance, V2, of a shutter value as it is read.
+def noise_variance(signal_v: ArrayLike, n_acc: ArrayLike, ambient_v: ArrayLike, pixel: Pixel) -> Floats:
+    """Return the variance, V2, of a shutter value before it is rounded.
 
     signal_v: the damped value itself; n_acc: its accumulations; ambient_v: background voltage of one exposure, before
     the correlated double sampling. The noise is damped as the signal is (4.2.3.1; E-K-10): d2 sigma_U*2 (eq 4.28),
     in which the shot noise belongs to the undamped signal U / d. The background adds its shot noise twice, with the
-    laser on and off. Rounding adds a twelfth of the squared step.
+    laser on and off.
     """
     d = damping(n_acc, pixel)
     light_v = np.maximum(signal_v, 0.0) / d + 2 * np.asarray(n_acc) * np.asarray(ambient_v)
-    return d**2 * (dark_noise(n_acc, pixel) ** 2 + photon_noise(light_v, pixel) ** 2) + step_v(pixel) ** 2 / 12
+    return d**2 * (dark_noise(n_acc, pixel) ** 2 + photon_noise(light_v, pixel) ** 2)
+
+
+def read_adaptively(
+    single_v: Floats, ambient_v: Floats, pixel: Pixel, averages: int, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.uint8]]:
+    """Return the shutter values, V, (S, H, W) and the accumulations of each pixel (H, W), common to its shutters.
+
+    single_v, ambient_v (S, H, W): signal and background of one pulse. Of the numbers of accumulations the largest is
+    taken at which no shutter of the pixel is saturated (4.1.1.3; K-PIX-10), else the smallest. The accumulated signal
+    is read at all of them without destroying it, so that they share one deviate. A pixel that laser and background fill
+    in one exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
+    Values are means over `averages` images.
+    """
+    deviates = rng.standard_normal((averages, *single_v.shape))
+    full = single_v + ambient_v >= pixel.saturation_v
+    steps = sorted(pixel.accumulations)
+    values_v = _read(steps[0], single_v, ambient_v, full, deviates, pixel)
+    chosen = np.full(single_v.shape[1:], steps[0], np.uint8)
+    for n in steps[1:]:
+        more_v = _read(n, single_v, ambient_v, full, deviates, pixel)
+        free = (more_v < pixel.saturation_v).all(axis=(0, 1))
+        np.copyto(values_v, more_v, where=free)
+        np.copyto(chosen, np.uint8(n), where=free)
+    return values_v.mean(axis=0), chosen
+
+
+def _read(
+    n: int, single_v: Floats, ambient_v: Floats, full: NDArray[np.bool_], deviates: Floats, pixel: Pixel
+) -> Floats:
+    """Return noisy, converted values after `n` pulses: (averages, S, H, W) V."""
+    signal_v = accumulated(single_v, n, pixel)
+    noisy_v = signal_v + np.sqrt(noise_variance(signal_v, n, ambient_v, pixel)) * deviates
+    return np.where(full, pixel.saturation_v, convert(noisy_v, pixel))
+
+
+def convert(value_v: Floats, pixel: Pixel) -> Floats:
+    """Return values as the converter gives them: rounded to its step, never above the full scale."""
+    rounded = np.round(value_v / step_v(pixel)) * step_v(pixel) if pixel.adc_bits else value_v
+    return np.where(value_v >= pixel.saturation_v - step_v(pixel) / 2, pixel.saturation_v, rounded)

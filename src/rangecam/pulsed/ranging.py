@@ -5,9 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from rangecam.errors import DataError
-from rangecam.pulsed.pixel import damping, output_variance, photon_noise
+from rangecam.errors import DataError, UsageError
+from rangecam.pulsed.pixel import damping, noise_variance, photon_noise, step_v
 from rangecam.pulsed.settings import Pixel, PulsedCamera
 from rangecam.pulsed.signal import gate_windows, shutter_windows
 from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
@@ -16,6 +17,8 @@ _VALID, _NO_SIGNAL, _NOT_FINITE = np.uint8(Why.VALID), np.uint8(Why.NO_SIGNAL), 
 _LOW_AMPLITUDE, _SATURATED = np.uint8(Why.LOW_AMPLITUDE), np.uint8(Why.SATURATED)
 _OUT_OF_RANGE, _SENSOR_FLAG = np.uint8(Why.OUT_OF_RANGE), np.uint8(Why.SENSOR_FLAG)
 _MOST_ACCUMULATIONS = 255
+_COMPILED = (np.float32, np.uint8)
+_NONE = np.zeros((0, 0), np.float32)
 
 
 def mdsi1(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
@@ -44,33 +47,31 @@ def _mdsi(raw: RawFrame, camera: PulsedCamera, windows: str, falling: bool) -> R
     Planes: the two shutter_* (H, W) named by `windows`, V after correlated double sampling, and n_acc (H, W), the
     accumulations of both; `ambient` (H, W), V/s, the rate of the background signal, if the camera tells it.
     amplitude is the whole signal of one pulse, V: shutter values over n_acc and their damping. sigma_m propagates
-    `pixel.output_variance` of both values. why is NOT_FINITE, NO_SIGNAL (n_acc 0), SENSOR_FLAG (n_acc above 255),
-    SATURATED, LOW_AMPLITUDE or OUT_OF_RANGE. Raises DataError for a missing or misshapen plane.
+    `pixel.noise_variance` of both values and their rounding. why is NOT_FINITE, NO_SIGNAL (n_acc 0), SENSOR_FLAG (n_acc
+    above 255), SATURATED, LOW_AMPLITUDE or OUT_OF_RANGE. Raises DataError for a missing or misshapen plane.
     """
     names = (f"shutter_{windows[0]}", f"shutter_{windows[1]}", "n_acc")
     part, other, n_acc = (_plane(raw, name, names) for name in names)
-    ambient = _plane(raw, "ambient", names) if "ambient" in raw.planes else np.zeros((0, 0))
-    tables, settings = _noise_tables(camera.pixel), _shutter_settings(camera, windows)
-    out = _empty_images(part.shape)
-    samples = (part.ravel(), other.ravel(), n_acc.ravel(), ambient.ravel())
-    images = tuple(image.ravel() for image in out)
-    _shutter_quotient(*samples, tables, settings, falling, "c" not in windows, *images)
-    return RangeImage(raw.time_s, *out)
+    ambient = _plane(raw, "ambient", names) if "ambient" in raw.planes else _NONE
+    tables, settings = _shutter_settings(camera, windows)
+    images = _empty_images(part.shape)
+    _shutter_quotient(part, other, n_acc, ambient, tables, settings, falling, "c" not in windows, *images)
+    return RangeImage(raw.time_s, *images)
 
 
 @lru_cache(maxsize=8)
-def _shutter_settings(camera: PulsedCamera, windows: str) -> Floats:
-    """Return what the kernel needs of the camera, in its order."""
+def _shutter_settings(camera: PulsedCamera, windows: str) -> tuple[Floats, Floats]:
+    """Return the tables of noise and what else the kernel needs of the camera, in its order."""
     opened = shutter_windows(camera)
     width_s = {name: closes - opens for name, (opens, closes) in opened.items()}
     pulse_s = camera.pulse_width_s
     # The time of flight at quotient 0 of a type b window, which is quotient 1 of a type a window (eqs 3.18-3.21 in the
     # general form of E-K-03): the pulse then ends as b opens.
-    start_s = width_s["a"] - pulse_s - (camera.laser_delay_s - camera.shutter_delay_s)
+    start_s = width_s["a"] - pulse_s - (camera.laser_delay_s - opened["a"][0])
     # Windows shorter than the pulse leave a part of the quotients out (eq 3.22; E-K-15).
     first, last = max(0.0, 1 - width_s["a"] / pulse_s), min(1.0, width_s["b"] / pulse_s)
     low_m, high_m = _limits(camera, start_s + first * pulse_s, start_s + last * pulse_s)
-    return np.array(
+    settings = np.array(
         [
             camera.speed_of_light_mps / 2 * pulse_s,
             camera.speed_of_light_mps / 2 * start_s + camera.offset_m,
@@ -85,27 +86,29 @@ def _shutter_settings(camera: PulsedCamera, windows: str) -> Floats:
             1 / camera.averages,
         ]
     )
+    return _noise_tables(camera.pixel), settings
 
 
-@lru_cache(maxsize=8)
 def _noise_tables(pixel: Pixel) -> Floats:
     """Return damping, dark variance (V2, at the output) and d2 n by number of accumulations: (256, 3)."""
     n = np.arange(_MOST_ACCUMULATIONS + 1)
     n[0] = 1  # never used: such pixels are NO_SIGNAL
     d = damping(n, pixel)
-    return np.stack([d, output_variance(0.0, n, 0.0, pixel), d**2 * n], axis=-1)
+    return np.stack([d, noise_variance(0.0, n, 0.0, pixel) + step_v(pixel) ** 2 / 12, d**2 * n], axis=-1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shutter_quotient(  # type: ignore[no-untyped-def]
     part, other, n_acc, ambient, tables, settings, falling, summed, range_m, sigma_m, amplitude, why
 ):
-    """Fill the four flat output images; `summed`: the whole is part + other, else it is other."""
+    """Fill the four output images; `summed`: the whole is part + other, else it is other."""
+    part, other, n_acc, ambient = part.reshape(-1), other.reshape(-1), n_acc.reshape(-1), ambient.reshape(-1)
+    range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
     scale_m, zero_m, low_m, high_m, saturation_v, min_snr2 = settings[:6]
     threshold_v, volts_per_electron, part_s, other_s, share = settings[6:]
     for i in range(part.size):
-        x, y, n = part[i], other[i], n_acc[i]
-        background = ambient[i] if ambient.size else 0.0
+        x, y, n = np.float64(part[i]), np.float64(other[i]), n_acc[i]
+        background = max(np.float64(ambient[i]), 0.0) if ambient.size else 0.0
         range_m[i] = sigma_m[i] = amplitude[i] = np.nan
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(n) and np.isfinite(background)):
             why[i] = _NOT_FINITE
@@ -113,7 +116,8 @@ def _shutter_quotient(  # type: ignore[no-untyped-def]
         if not 1 <= n < len(tables):
             why[i] = _NO_SIGNAL if n < 1 else _SENSOR_FLAG
             continue
-        d, dark, d2n = tables[int(n)]
+        k = int(n)
+        d, dark, d2n = tables[k, 0], tables[k, 1], tables[k, 2]
         variance_x = share * (dark + volts_per_electron * (d * max(x, 0.0) + d2n * part_s * background))
         variance_y = share * (dark + volts_per_electron * (d * max(y, 0.0) + d2n * other_s * background))
         whole, whole_variance = (x + y, variance_x + variance_y) if summed else (y, variance_y)
@@ -144,25 +148,26 @@ def three_tap(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     or OUT_OF_RANGE. Raises DataError for a missing or misshapen plane.
     """
     names = ("tap_1", "tap_2", "tap_3")
-    taps = [_plane(raw, name, names).ravel() for name in names]
-    dark, std = (
-        [_plane(raw, f"{kind}_{i}", names).ravel() for i in (1, 2, 3)] if f"{kind}_1" in raw.planes else None
+    t1, t2, t3 = (_plane(raw, name, names) for name in names)
+    (d1, d2, d3), (s1, s2, s3) = (
+        [_plane(raw, f"{kind}_{i}", names) if f"{kind}_1" in raw.planes else _NONE for i in (1, 2, 3)]
         for kind in ("dark", "tap_std")
     )
-    out = _empty_images(raw.planes["tap_1"].shape)
-    none = np.zeros(0)
-    samples = [*taps, *(dark or [none] * 3), *(std or [none] * 3)]
-    images = [image.ravel() for image in out]
-    arguments = (*samples, _gate_settings(camera), camera.pulse_lead_s > 0, *images)
-    _gate_quotient(*arguments)
-    return RangeImage(raw.time_s, *out)
+    early, settings, images = camera.pulse_lead_s > 0, _gate_settings(camera), _empty_images(t1.shape)
+    _gate_quotient(t1, t2, t3, d1, d2, d3, s1, s2, s3, settings, early, *images)
+    return RangeImage(raw.time_s, *images)
 
 
 @lru_cache(maxsize=8)
 def _gate_settings(camera: PulsedCamera) -> Floats:
-    """Return what the kernel needs of the camera, in its order."""
+    """Return what the kernel needs of the camera, in its order; raises UsageError for gates that lose near light."""
     pulse_s, closes_s = camera.pulse_width_s, gate_windows(camera)["2"][1]
-    nearest_s = min(closes_s - pulse_s, 0.0) if camera.pulse_lead_s == 0 else -closes_s
+    if camera.pulse_lead_s > 0 and closes_s > pulse_s:
+        raise UsageError(
+            f"camera.gate_width_s = {closes_s:g}: with camera.pulse_lead_s > 0 it must not exceed "
+            f"camera.pulse_width_s = {pulse_s:g}, or pulses that lie within gate 2 all look alike"
+        )
+    nearest_s = max(closes_s - pulse_s, 0.0) if camera.pulse_lead_s == 0 else -closes_s
     low_m, high_m = _limits(camera, camera.pulse_lead_s + nearest_s, camera.pulse_lead_s + 2 * closes_s - pulse_s)
     noise = camera.taps
     return np.array(
@@ -188,9 +193,14 @@ def _gate_settings(camera: PulsedCamera) -> Floats:
 def _gate_quotient(  # type: ignore[no-untyped-def]
     t1, t2, t3, d1, d2, d3, s1, s2, s3, settings, early, range_m, sigma_m, amplitude, why
 ):
-    """Fill the four flat output images; `early`: tap 1 holds light of the pulse."""
+    """Fill the four output images; `early`: tap 1 holds light of the pulse."""
+    t1, t2, t3 = t1.reshape(-1), t2.reshape(-1), t3.reshape(-1)
+    d1, d2, d3 = d1.reshape(-1), d2.reshape(-1), d3.reshape(-1)
+    s1, s2, s3 = s1.reshape(-1), s2.reshape(-1), s3.reshape(-1)
+    range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
     scale_m, zero_m, gate_minus_one, low_m, high_m, saturation, min_snr2, threshold = settings[:8]
-    noise = settings[8:]
+    black, read_variance, per_count, dark_share, share = settings[8:]
+    noise = (black, read_variance, per_count, dark_share, share)
     for i in range(t1.size):
         range_m[i] = sigma_m[i] = amplitude[i] = np.nan
         n1, v1 = _tap(t1, d1, s1, i, noise)
@@ -206,11 +216,7 @@ def _gate_quotient(  # type: ignore[no-untyped-def]
             whole, variance = n1 + n2 + n3, v1 + v2 + v3
             first = n1 > n3
             quotient = -n1 / whole if first else n3 / whole
-            by_1, by_2, by_3 = (
-                (-1 - quotient if first else -quotient),
-                -quotient,
-                (-quotient if first else 1 - quotient),
-            )
+            by_1, by_2, by_3 = -quotient - (1 if first else 0), -quotient, (0 if first else 1) - quotient
         else:
             first = False
             whole, variance = n2 + n3 - 2 * n1, v2 + v3 + 4 * v1
@@ -232,7 +238,7 @@ def _gate_quotient(  # type: ignore[no-untyped-def]
 def _tap(tap, dark, std, i, noise):  # type: ignore[no-untyped-def]
     """Return the light of one gate, counts, and its variance."""
     black, read_variance, variance_per_count, dark_share, share = noise
-    value = tap[i]
+    value = np.float64(tap[i])
     if std.size:
         variance = std[i] ** 2 + 1 / 12  # a converter that always shows the same code still rounds
     else:
@@ -244,7 +250,10 @@ def _tap(tap, dark, std, i, noise):  # type: ignore[no-untyped-def]
 
 
 def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
-    """Return a plane as float64 (H, W); raises DataError if it is missing or does not fit the first needed one."""
+    """Return a contiguous plane of a type that the kernels are compiled for.
+
+    Raises DataError if it is missing, does not fit the first needed one, or does not hold real numbers.
+    """
     if name not in raw.planes:
         raise DataError(
             f"frame {raw.frame_id}: plane '{name}' is missing; this method needs {', '.join(needed)}, "
@@ -258,7 +267,7 @@ def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
         )
     if plane.dtype.kind not in "uif":
         raise DataError(f"frame {raw.frame_id}: plane '{name}' holds {plane.dtype}; it must hold real numbers")
-    return np.ascontiguousarray(plane, np.float64)
+    return np.ascontiguousarray(plane, plane.dtype if plane.dtype in _COMPILED else np.float64)
 
 
 def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[float, float]:
@@ -268,8 +277,8 @@ def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[
     return max(low_m, camera.min_range_m), high_m if camera.max_range_m is None else min(high_m, camera.max_range_m)
 
 
-def _empty_images(shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats, Image]:
-    range_m, sigma_m, amplitude = (np.empty(shape, np.float32) for _ in range(3))
+def _empty_images(shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats, NDArray[np.uint8]]:
+    range_m, sigma_m, amplitude = np.empty((3, *shape), np.float32)
     return range_m, sigma_m, amplitude, np.empty(shape, np.uint8)
 
 

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from annotated_types import Gt, Interval, Len
 
 from rangecam.geometry import Lens
+from rangecam.optics import Objective
 from rangecam.settings import NonNegative, Positive, PositiveInt, settings
 from rangecam.types import SPEED_OF_LIGHT
 
@@ -68,10 +69,14 @@ class Taps:
     """Standard deviation of a tap without light."""
     shot_noise_counts2_per_count: NonNegative = 0.025
     """Variance per count of light: one over the electrons per count."""
+    counts_per_jpm2: Positive = 3e6
+    """Counts per exposure, J/m2 (simulation); *open*: 10 um pixels of 30 % quantum efficiency."""
+    pulses: PositiveInt = 3000
+    """Pulses of one image (simulation). *open*"""
     dark_frames: PositiveInt = 30
     """Frames that were averaged into the dark image."""
     saturation_counts: Positive = 4000.0
-    """A tap at or above it is saturated."""
+    """A tap at or above it is saturated; more is never counted (simulation)."""
     noise_threshold_counts: NonNegative = 0.0
     """Light of the pulse (all taps together) below it is LOW_AMPLITUDE; 0: `min_snr` alone decides."""
 
@@ -105,6 +110,10 @@ class PulsedCamera:
 
     pulse_width_s: Positive = 180e-9
     """Width of the light pulse, at half of its height; it also is the measurement range, c/2 of it."""
+    pulse_rise_s: NonNegative = 0.0
+    """Length of the rising edge; the laser of the thesis has 60 ns (König 2008, 4.2.2.1)."""
+    pulse_fall_s: NonNegative = 0.0
+    """Length of the falling edge; the laser of the thesis has 30 ns."""
     laser_delay_s: float = 0.0
     """T_DL: delay of the laser pulse."""
     shutter_delay_s: float = 0.0
@@ -113,6 +122,8 @@ class PulsedCamera:
     """T_Int,a; none: as long as the pulse."""
     shutter_b_width_s: Positive | None = None
     """T_Int,b; none: as long as the pulse."""
+    shutter_edge_s: NonNegative = 0.0
+    """Length of both edges of a window, which end with the switch; the sensor of the thesis has 60-70 ns (4.2.1.2)."""
     gate_width_s: Positive | None = None
     """Width of each gate of a three-tap sensor; none: as long as the pulse."""
     pulse_lead_s: NonNegative = 0.0
@@ -130,6 +141,7 @@ class PulsedCamera:
     """Pixels whose total signal is below so many of its standard deviations are LOW_AMPLITUDE: only above it is the
     noise of the quotient Gaussian."""
 
+    objective: Objective = Objective()
     laser: Laser = Laser()
     pixel: Pixel = Pixel()
     taps: Taps = Taps()

@@ -1,17 +1,99 @@
-"""Pulse, shutter windows and their correlation: how much of a pulse each window collects."""
+"""Pulse, shutter windows and their correlation: how long each window collects of a pulse, by its delay.
 
+Times count from the trigger of the shutter; a pulse without delay is at half of its height at 0 and at its width.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from rangecam.errors import UsageError
 from rangecam.pulsed.settings import PulsedCamera
+from rangecam.types import Floats
+
+Window = tuple[float, float]
+"""When a window opens and closes, s: where it is at half of its sensitivity."""
+
+_STEPS_IN_PULSE = 2000
 
 
-def shutter_windows(camera: PulsedCamera) -> dict[str, tuple[float, float]]:
-    """Return when the windows a, b, c open and close, s: b opens when a closes, c spans both (König 2008, fig 3.6)."""
-    opens = camera.shutter_delay_s
+def shutter_windows(camera: PulsedCamera) -> dict[str, Window]:
+    """Return the windows a, b, c: b opens when a closes, c spans both (König 2008, eq 3.12 and fig 3.6).
+
+    Charge needs `shutter_edge_s` to arrive, so that both edges of a window come before the switch (4.2.1.2).
+    """
+    opens = camera.shutter_delay_s - camera.shutter_edge_s / 2
     middle = opens + (camera.shutter_a_width_s or camera.pulse_width_s)
     closes = middle + (camera.shutter_b_width_s or camera.pulse_width_s)
     return {"a": (opens, middle), "b": (middle, closes), "c": (opens, closes)}
 
 
-def gate_windows(camera: PulsedCamera) -> dict[str, tuple[float, float]]:
-    """Return when the gates 1, 2, 3 of a three-tap sensor open and close, s; time counts from the opening of gate 2."""
+def gate_windows(camera: PulsedCamera) -> dict[str, Window]:
+    """Return the gates 1, 2, 3 of a three-tap sensor, which follow each other; gate 2 opens at 0."""
     width = camera.gate_width_s or camera.pulse_width_s
     return {str(i): ((i - 2) * width, (i - 1) * width) for i in (1, 2, 3)}
+
+
+def collected_s(delay_s: Floats, window: Window, camera: PulsedCamera) -> Floats:
+    """Return how much of a pulse of height 1 a window collects, s, when the pulse comes `delay_s` late.
+
+    The integral of eq 3.16 of König 2008 without the constants. Raises UsageError for edges longer than the pulse or
+    the window.
+    """
+    delays_s, values_s = correlation_curve(window, camera)
+    return np.interp(delay_s, delays_s, values_s)
+
+
+@lru_cache(maxsize=64)
+def correlation_curve(window: Window, camera: PulsedCamera) -> tuple[Floats, Floats]:
+    """Return the correlation of pulse and window as a line through points: delays, s, and what is collected there, s.
+
+    Ideal shapes give the trapezoid of fig 3.5, exactly, by its four corners; others are correlated numerically.
+    Raises UsageError as `collected_s` does.
+    """
+    (opens, closes), pulse_s, edge_s = window, camera.pulse_width_s, camera.shutter_edge_s
+    if camera.pulse_rise_s == camera.pulse_fall_s == edge_s == 0:
+        inner = sorted((opens, closes - pulse_s))
+        most_s = min(pulse_s, closes - opens)
+        return np.array([opens - pulse_s, *inner, closes]), np.array([0.0, most_s, most_s, 0.0])
+    _check_edges(window, camera)
+    step_s = pulse_s / _STEPS_IN_PULSE
+    pulse_start_s, window_start_s = -camera.pulse_rise_s, opens - edge_s
+    pulse_at = np.arange(pulse_start_s, pulse_s + camera.pulse_fall_s + step_s, step_s)
+    window_at = np.arange(window_start_s, closes + edge_s + step_s, step_s)
+    # An upright edge is sampled as one step long, about the same middle.
+    pulse = trapezoid(pulse_at, (0.0, pulse_s), max(camera.pulse_rise_s, step_s), max(camera.pulse_fall_s, step_s))
+    sensitivity = trapezoid(window_at, window, max(edge_s, step_s), max(edge_s, step_s))
+    values_s = correlate(pulse, sensitivity, step_s)
+    first_s = window_start_s - (pulse_start_s + (len(pulse) - 1) * step_s)
+    return first_s + step_s * np.arange(len(values_s)), values_s
+
+
+def correlate(pulse: Floats, sensitivity: Floats, step_s: float) -> Floats:
+    """Return the correlation integral of two sampled shapes (König 2008, eq 3.16; 4.2.3.2).
+
+    pulse (N,), sensitivity (M,): samples `step_s` apart, zero outside. Value i of the (N + M - 1,) returned belongs to
+    the delay at which the last sample of the pulse meets sample i of the sensitivity.
+    """
+    return np.convolve(sensitivity, pulse[::-1]) * step_s
+
+
+def trapezoid(time_s: Floats, window: Window, rise_s: float, fall_s: float) -> Floats:
+    """Return a shape that is 1 inside, 0 outside and 1/2 at both times of `window`, with straight edges."""
+    start, end = window
+    corners = [start - rise_s / 2, start + rise_s / 2, end - fall_s / 2, end + fall_s / 2]
+    return np.interp(time_s, corners, [0.0, 1.0, 1.0, 0.0])
+
+
+def _check_edges(window: Window, camera: PulsedCamera) -> None:
+    longest_s = (camera.pulse_rise_s + camera.pulse_fall_s) / 2
+    if longest_s > camera.pulse_width_s:
+        raise UsageError(
+            f"camera.pulse_rise_s = {camera.pulse_rise_s:g}, camera.pulse_fall_s = {camera.pulse_fall_s:g}: "
+            f"their mean must not exceed camera.pulse_width_s = {camera.pulse_width_s:g}"
+        )
+    if camera.shutter_edge_s > window[1] - window[0]:
+        raise UsageError(
+            f"camera.shutter_edge_s = {camera.shutter_edge_s:g}: "
+            f"must not exceed the width of a window, {window[1] - window[0]:g} s"
+        )
