@@ -1,8 +1,5 @@
 """The brake: rule and stopping distance."""
 
-from rangecam.settings import settings
+from rangecam.brake.rule import DecisionSettings, decide
 
-
-@settings
-class DecisionSettings:
-    """When to brake."""
+__all__ = ["DecisionSettings", "decide"]
