@@ -58,8 +58,8 @@ def processed(raw: RawFrame, camera: ProcessedCamera) -> RangeImage:
     """Take the range that the camera computed, and say how good it is and where it is none.
 
     raw.planes: `range_m` or `depth_m` (H, W) m; optional `amplitude`, `noise_m` (m, one sigma), `status`, `targets`,
-    `confidence`. Depth becomes range along the pixel's ray. Sigma is `noise_m` where the camera gives it, else the noise
-    model. Amplitude is NaN where the camera has none. Raises DataError without a range plane.
+    `confidence`. Depth becomes range along the pixel's ray. Sigma is `noise_m` where the camera gives it, else the
+    noise model. Amplitude is NaN where the camera has none. Raises DataError without a range plane.
     """
     planes = raw.planes
     range_m, axis = _measured(planes, camera, raw.shape)
@@ -89,7 +89,8 @@ def noise_model(range_m: Floats, amplitude: Floats, camera: ProcessedCamera) -> 
     if camera.noise_amplitude_m:
         with np.errstate(divide="ignore"):
             variance = variance + (camera.noise_amplitude_m / amplitude) ** 2
-    return np.sqrt(variance)
+    sigma: Floats = np.sqrt(variance)
+    return sigma
 
 
 def simulate(view: View, camera: ProcessedCamera, time_s: float, rng: np.random.Generator) -> RawFrame:

@@ -102,7 +102,7 @@ def smooth(range_m: Floats, sigma_m: Floats, neighbourhood: Floats, settings: Cl
 
     Only valid pixels give and get a median; only common neighbours of the pixel give one, unless `median_across_edges`.
     Of an even number it is the midpoint. Its variance is that of the median of n normal values with the harmonic mean
-    of their sigmas, because the density at the median of unlike values is the mean of theirs, each 1/(sqrt(2 pi) sigma).
+    of their sigmas: the density at the median of unlike values is the mean of theirs, each 1/(sqrt(2 pi) sigma).
     """
     median, sigma = range_m.copy(), sigma_m.copy()
     columns = (0, 1, 2)

@@ -39,7 +39,7 @@ class CleanSettings:
     floor: Literal["off", "mounting", "fit"] = "off"
     """Remove the floor: where the mounting says it is, or where a plane fits the far side of the image."""
     floor_max_tilt_deg: Annotated[float, Interval(ge=0, le=90)] = 20.0
-    """A fitted plane that leans further than this away from the floor of the mounting is no floor: nothing is removed."""
+    """A fitted plane that leans further than this away from the floor of the mounting is no floor."""
     floor_margin_m: NonNegative = 0.1
     """Height above the floor up to which a point belongs to it."""
     floor_margin_sigmas: NonNegative = 2.0
