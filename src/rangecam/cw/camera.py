@@ -17,10 +17,16 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     Each phase image is exposed at its own time (Steinbäck 2016, fig 4.7), so that moving edges show motion artefacts;
     motion within one exposure is not modelled. Noise is Gaussian with `sample_variance`; then rounding and limits of
     the converter. The planes are uint16 where the converter's limits and step allow, else float32.
-    Raises UsageError if `capture_order` is not an order of the four steps.
+    Raises UsageError if `capture_order` is not an order of the four steps, or the camera cannot be that fast.
     """
     if sorted(camera.capture_order) != [0, 90, 180, 270]:
         raise UsageError(f"camera.capture_order = {list(camera.capture_order)}: expected 0, 90, 180, 270 in some order")
+    fastest_hz = 1 / (4 * (camera.illumination_time_s + camera.readout_time_s))
+    if camera.frame_rate_hz > fastest_hz:
+        raise UsageError(
+            f"camera.frame_rate_hz = {camera.frame_rate_hz:g}: four exposures and read-outs leave no more than "
+            f"{fastest_hz:.4g} Hz; shorten illumination_time_s"
+        )
     planes: dict[str, Image] = {}
     for step, start_s in zip(camera.capture_order, exposure_times_s(camera, time_s), strict=True):
         mean, light = correlate(view(start_s), camera, step)

@@ -63,9 +63,9 @@ class CwCamera:
     """A sample at or below it is saturated, too; none: not known."""
     min_amplitude: NonNegative = 0.0
     """Pixels with less are LOW_AMPLITUDE, LSB (Steinbäck 2016, eq 2.10)."""
-    max_phase_sigma_rad: Annotated[float, Interval(gt=0, le=0.5)] = 0.2
-    """Pixels with a greater phase noise are LOW_AMPLITUDE: only far below it is the noise
-    of the arctangent Gaussian."""
+    max_phase_sigma_rad: Annotated[float, Interval(gt=0, le=0.5)] = 0.1
+    """Pixels with a greater phase noise are LOW_AMPLITUDE; beyond 0.1 the arctangent leaves its linear regime, and of
+    weak pixels mostly those pass whose noise points away from the truth, so that sigma_m holds it too seldom."""
     pseudo_rows: NonNegativeInt = 0
     """First rows of the image that carry the sensor's own data instead of light: SENSOR_FLAG."""
 
