@@ -70,13 +70,12 @@ def _shutter_settings(camera: PulsedCamera, windows: str) -> tuple[Floats, Float
     start_s = width_s["a"] - pulse_s - (camera.laser_delay_s - opened["a"][0])
     # Windows shorter than the pulse leave a part of the quotients out (eq 3.22; E-K-15).
     first, last = max(0.0, 1 - width_s["a"] / pulse_s), min(1.0, width_s["b"] / pulse_s)
-    low_m, high_m = _limits(camera, start_s + first * pulse_s, start_s + last * pulse_s)
     settings = np.array(
         [
             camera.speed_of_light_mps / 2 * pulse_s,
             camera.speed_of_light_mps / 2 * start_s + camera.offset_m,
-            low_m,
-            high_m,
+            *_limits(camera, start_s + first * pulse_s, start_s + last * pulse_s),
+            camera.far_margin_sigmas,
             camera.pixel.saturation_v * (1 - 1e-6),  # a float32 of the full scale counts as full
             camera.min_snr**2,
             camera.pixel.noise_threshold_v,
@@ -104,8 +103,8 @@ def _shutter_quotient(  # type: ignore[no-untyped-def]
     """Fill the four output images; `summed`: the whole is part + other, else it is other."""
     part, other, n_acc, ambient = part.reshape(-1), other.reshape(-1), n_acc.reshape(-1), ambient.reshape(-1)
     range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
-    scale_m, zero_m, low_m, high_m, saturation_v, min_snr2 = settings[:6]
-    threshold_v, volts_per_electron, part_s, other_s, share = settings[6:]
+    scale_m, zero_m, low_m, high_m, end_m, margin, saturation_v, min_snr2 = settings[:8]
+    threshold_v, volts_per_electron, part_s, other_s, share = settings[8:]
     for i in range(part.size):
         x, y, n = np.float64(part[i]), np.float64(other[i]), n_acc[i]
         background = max(np.float64(ambient[i]), 0.0) if ambient.size else 0.0
@@ -132,7 +131,8 @@ def _shutter_quotient(  # type: ignore[no-untyped-def]
         elif not (whole > 0 and whole >= threshold_v and whole * whole >= min_snr2 * whole_variance):
             why[i] = _LOW_AMPLITUDE
         else:
-            why[i] = _VALID if low_m <= range_m[i] <= high_m else _OUT_OF_RANGE
+            inside = low_m <= range_m[i] <= high_m and range_m[i] + margin * sigma_m[i] <= end_m
+            why[i] = _VALID if inside else _OUT_OF_RANGE
 
 
 def three_tap(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
@@ -168,15 +168,15 @@ def _gate_settings(camera: PulsedCamera) -> Floats:
             f"camera.pulse_width_s = {pulse_s:g}, or pulses that lie within gate 2 all look alike"
         )
     nearest_s = max(closes_s - pulse_s, 0.0) if camera.pulse_lead_s == 0 else -closes_s
-    low_m, high_m = _limits(camera, camera.pulse_lead_s + nearest_s, camera.pulse_lead_s + 2 * closes_s - pulse_s)
+    farthest_s = 2 * closes_s - pulse_s
     noise = camera.taps
     return np.array(
         [
             camera.speed_of_light_mps / 2 * pulse_s,
             camera.speed_of_light_mps / 2 * camera.pulse_lead_s + camera.offset_m,
             closes_s / pulse_s - 1,
-            low_m,
-            high_m,
+            *_limits(camera, camera.pulse_lead_s + nearest_s, camera.pulse_lead_s + farthest_s),
+            camera.far_margin_sigmas,
             noise.saturation_counts,
             camera.min_snr**2,
             noise.noise_threshold_counts,
@@ -198,8 +198,8 @@ def _gate_quotient(  # type: ignore[no-untyped-def]
     d1, d2, d3 = d1.reshape(-1), d2.reshape(-1), d3.reshape(-1)
     s1, s2, s3 = s1.reshape(-1), s2.reshape(-1), s3.reshape(-1)
     range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
-    scale_m, zero_m, gate_minus_one, low_m, high_m, saturation, min_snr2, threshold = settings[:8]
-    black, read_variance, per_count, dark_share, share = settings[8:]
+    scale_m, zero_m, gate_minus_one, low_m, high_m, end_m, margin = settings[:7]
+    saturation, min_snr2, threshold, black, read_variance, per_count, dark_share, share = settings[7:]
     noise = (black, read_variance, per_count, dark_share, share)
     for i in range(t1.size):
         range_m[i] = sigma_m[i] = amplitude[i] = np.nan
@@ -231,7 +231,8 @@ def _gate_quotient(  # type: ignore[no-untyped-def]
         elif not (whole > 0 and whole >= threshold and whole * whole >= min_snr2 * variance):
             why[i] = _LOW_AMPLITUDE
         else:
-            why[i] = _VALID if low_m <= range_m[i] <= high_m else _OUT_OF_RANGE
+            inside = low_m <= range_m[i] <= high_m and range_m[i] + margin * sigma_m[i] <= end_m
+            why[i] = _VALID if inside else _OUT_OF_RANGE
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -270,11 +271,11 @@ def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
     return np.ascontiguousarray(plane, plane.dtype if plane.dtype in _COMPILED else np.float64)
 
 
-def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[float, float]:
-    """Return the interval of valid ranges, m: the method's own in times of flight, cut by the camera's settings."""
-    to_m = camera.speed_of_light_mps / 2
-    low_m, high_m = to_m * nearest_s + camera.offset_m, to_m * farthest_s + camera.offset_m
-    return max(low_m, camera.min_range_m), high_m if camera.max_range_m is None else min(high_m, camera.max_range_m)
+def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[float, float, float]:
+    """Return the interval of valid ranges and the end of the method's own, m, from its times of flight."""
+    low_m, end_m = (camera.speed_of_light_mps / 2 * s + camera.offset_m for s in (nearest_s, farthest_s))
+    high_m = end_m if camera.max_range_m is None else min(end_m, camera.max_range_m)
+    return max(low_m, camera.min_range_m), high_m, end_m
 
 
 def _empty_images(shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats, NDArray[np.uint8]]:

@@ -137,6 +137,9 @@ class PulsedCamera:
     """Nearer pixels are OUT_OF_RANGE, as are those outside of the method's own range (König 2008, eq 3.22)."""
     max_range_m: Positive | None = None
     """Farther pixels are OUT_OF_RANGE; none: the end of the method's own range."""
+    far_margin_sigmas: NonNegative = 2.0
+    """Pixels that are not so many of their standard deviations nearer than the end of the method's own range are
+    OUT_OF_RANGE: they may as well lie beyond it, where the quotient stays at its limit."""
     min_snr: Annotated[float, Gt(0)] = 6.0
     """Pixels whose total signal is below so many of its standard deviations are LOW_AMPLITUDE: only above it is the
     noise of the quotient Gaussian."""

@@ -15,6 +15,7 @@ Window = tuple[float, float]
 """When a window opens and closes, s: where it is at half of its sensitivity."""
 
 _STEPS_IN_PULSE = 2000
+_STEPS_IN_WINDOW = 20_000
 
 
 def shutter_windows(camera: PulsedCamera) -> dict[str, Window]:
@@ -57,7 +58,7 @@ def correlation_curve(window: Window, camera: PulsedCamera) -> tuple[Floats, Flo
         most_s = min(pulse_s, closes - opens)
         return np.array([opens - pulse_s, *inner, closes]), np.array([0.0, most_s, most_s, 0.0])
     _check_edges(window, camera)
-    step_s = pulse_s / _STEPS_IN_PULSE
+    step_s = max(pulse_s / _STEPS_IN_PULSE, (closes - opens) / _STEPS_IN_WINDOW)
     pulse_start_s, window_start_s = -camera.pulse_rise_s, opens - edge_s
     pulse_at = np.arange(pulse_start_s, pulse_s + camera.pulse_fall_s + step_s, step_s)
     window_at = np.arange(window_start_s, closes + edge_s + step_s, step_s)
