@@ -184,7 +184,7 @@ def from_above(
     for track in frame.tracks:
         if track.status != TrackStatus.TENTATIVE:
             _ellipse(ax, track.position_m[:2], track.covariance[np.ix_(POSITION[:2], POSITION[:2])])
-    half = config.decision.corridor_width_m / 2
+    half = config.decision.corridor.width_m / 2
     for side in (-half, half):
         ax.axhline(side, color=MUTED, linestyle=(0, (4, 4)), linewidth=0.8)
     ax.plot(config.mounting.x_m, config.mounting.y_m, marker=">", markersize=11, color=INK, clip_on=False)

@@ -1,14 +1,12 @@
 """The report as a sink: it keeps a little of every frame and all of the most telling one."""
 
 import html
-import os
-import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from rangecam.config import Config
-from rangecam.errors import UsageError
+from rangecam.io.files import check_target, replacing
 from rangecam.report import figures
 from rangecam.summary import Stopwatch, Summary, describe
 from rangecam.types import Capture, Frame, Tracks, TrackStatus
@@ -21,11 +19,7 @@ class Report:
     """
 
     def __init__(self, path: Path | str, config: Config, source: str = "") -> None:
-        self._path, self._config, self._source = Path(path), config, source
-        if not self._path.parent.is_dir():
-            raise UsageError(f"cannot write {self._path}: the folder {self._path.parent} does not exist")
-        if self._path.is_dir() or not os.access(self._path.parent, os.W_OK):
-            raise UsageError(f"cannot write {self._path}: choose a file in a folder that is writable")
+        self._path, self._config, self._source = check_target(path, source), config, source
         self._summary, self._watch = Summary(source, config), Stopwatch()
         self._before = Tracks.empty()
         self._best: tuple[tuple[int, int, int], Capture, Tracks] | None = None
@@ -59,15 +53,8 @@ class Report:
         page = _page(
             self._source, self._config, describe(self._summary.result(self._watch)), self._sections(frame, life)
         )
-        handle, name = tempfile.mkstemp(dir=self._path.parent, prefix=f".{self._path.name}-")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(page)
-            os.chmod(name, 0o644)
-            os.replace(name, self._path)
-        except BaseException:
-            os.unlink(name)
-            raise
+        with replacing(self._path) as part:
+            part.write_text(page, encoding="utf-8")
 
     def __enter__(self) -> Self:
         return self
