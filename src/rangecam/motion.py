@@ -39,25 +39,24 @@ def constant_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats
     that two short steps are exactly one long one: a dropped frame or another frame rate changes nothing. The thesis'
     own Q (eq 6.33) lacks this; it is `wiener_acceleration`.
     """
-    return _constant_acceleration(dt_s, settings.drift_mps2**2)
+    F, Q = np.empty((3, 3)), np.empty((3, 3))
+    _constant_acceleration(dt_s, settings.drift_mps2**2, F, Q)
+    return F, Q
 
 
 @njit(cache=True, nogil=True)
-def _constant_acceleration(T: float, q: float) -> tuple[Floats, Floats]:
-    Q = np.empty((3, 3))
+def _constant_acceleration(T: float, q: float, F: Floats, Q: Floats) -> None:
+    _transition(F, T, T * T / 2, T, 1.0)
     Q[0, 0], Q[0, 1], Q[0, 2] = q * T**5 / 20, q * T**4 / 8, q * T**3 / 6
     Q[1, 0], Q[1, 1], Q[1, 2] = q * T**4 / 8, q * T**3 / 3, q * T**2 / 2
     Q[2, 0], Q[2, 1], Q[2, 2] = q * T**3 / 6, q * T**2 / 2, q * T
-    return _transition(T, T * T / 2, T, 1.0), Q
 
 
 @njit(cache=True, nogil=True)
-def _transition(T: float, a_to_x: float, a_to_v: float, a_to_a: float) -> Floats:
-    F = np.zeros((3, 3))
+def _transition(F: Floats, T: float, a_to_x: float, a_to_v: float, a_to_a: float) -> None:
     F[0, 0], F[0, 1], F[0, 2] = 1.0, T, a_to_x
-    F[1, 1], F[1, 2] = 1.0, a_to_v
-    F[2, 2] = a_to_a
-    return F
+    F[1, 0], F[1, 1], F[1, 2] = 0.0, 1.0, a_to_v
+    F[2, 0], F[2, 1], F[2, 2] = 0.0, 0.0, a_to_a
 
 
 def wiener_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
@@ -66,17 +65,18 @@ def wiener_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats, 
     The step is as large whether the frame was long or short, so sigma_w belongs to a frame rate; in a gap the
     uncertainty grows only as if the one step had come at its start.
     """
-    return _wiener_acceleration(dt_s, settings.step_mps2**2)
+    F, Q = np.empty((3, 3)), np.empty((3, 3))
+    _wiener_acceleration(dt_s, settings.step_mps2**2, F, Q)
+    return F, Q
 
 
 @njit(cache=True, nogil=True)
-def _wiener_acceleration(T: float, variance: float) -> tuple[Floats, Floats]:
-    Q = np.empty((3, 3))
+def _wiener_acceleration(T: float, variance: float, F: Floats, Q: Floats) -> None:
+    _transition(F, T, T * T / 2, T, 1.0)
     gamma = (T * T / 2, T, 1.0)  # eq 6.20
     for a in range(3):
         for b in range(3):
             Q[a, b] = variance * gamma[a] * gamma[b]  # eq 6.32
-    return _transition(T, T * T / 2, T, 1.0), Q
 
 
 def singer(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
@@ -84,23 +84,24 @@ def singer(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
 
     da/dt = -a / memory_s + jerk. For long memories this is `constant_acceleration`, for short ones constant velocity.
     """
-    return _singer(dt_s, settings.drift_mps2**2, 1 / settings.memory_s)
+    F, Q = np.empty((3, 3)), np.zeros((3, 3))
+    _singer(dt_s, settings.drift_mps2**2, 1 / settings.memory_s, F, Q)
+    return F, Q
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 @njit(cache=True, nogil=True)
-def _singer(T: float, q: float, rate: float) -> tuple[Floats, Floats]:
+def _singer(T: float, q: float, rate: float, F: Floats, Q: Floats) -> None:
     """Integrate the response to the jerk numerically: the closed form of Q loses all digits for small rate * T."""
-    Q = np.zeros((3, 3))
     for node in range(_NODES.size):
         response = _response(T * (1 + _NODES[node]) / 2, rate)
         for a in range(3):
             for b in range(3):
                 Q[a, b] += q * _WEIGHTS[node] * T / 2 * response[a] * response[b]
     a_to_x, a_to_v, a_to_a = _response(T, rate)
-    return _transition(T, a_to_x, a_to_v, a_to_a), Q
+    _transition(F, T, a_to_x, a_to_v, a_to_a)
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,57 @@
+"""Which segment is which track's: the best pairing, from the cost of each pair."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from scipy.optimize import linear_sum_assignment
+
+from rangecam.types import Floats, Ints
+
+NO_PAIR = 1e6
+"""Cost of a pairing outside the gate: far above any that is inside."""
+
+
+def associate_globally(cost: Floats, age: Ints) -> Ints:
+    """Return the segment's index for each track (N,), -1 for none: as many pairs as possible, of the least total cost.
+
+    cost (N, M): squared Mahalanobis distance plus log det S, twice the negative log-likelihood of the pairing but for
+    a constant; `NO_PAIR` outside the gate.
+    """
+    took = np.empty(age.size, np.int64)
+    if not _take_only_candidates(cost, took):
+        rows, columns = linear_sum_assignment(cost)
+        took[:] = -1
+        took[rows] = np.where(cost[rows, columns] < NO_PAIR, columns, -1)
+    return took
+
+
+@njit(cache=True, nogil=True)
+def _take_only_candidates(cost: Floats, took: Ints) -> bool:
+    """Write the pairing if no track has two candidates and no segment two takers; return whether that is so."""
+    taken = np.zeros(cost.shape[1], np.bool_)
+    for i in range(cost.shape[0]):
+        took[i] = -1
+        for j in range(cost.shape[1]):
+            if cost[i, j] < NO_PAIR:
+                if taken[j] or took[i] >= 0:
+                    return False
+                taken[j], took[i] = True, j
+    return True
+
+
+def associate_by_age(cost: Floats, age: Ints) -> Ints:
+    """Return the segment's index for each track (N,), -1 for none: the oldest chooses first (K-TRK-04, K-TRK-05)."""
+    took = np.full(len(age), -1)
+    if cost.shape[1]:
+        free = cost.copy()
+        for i in np.argsort(-age, kind="stable"):
+            j = int(np.argmin(free[i]))
+            if free[i, j] < NO_PAIR:
+                took[i] = j
+                free[:, j] = NO_PAIR
+    return took
+
+
+ASSOCIATION: dict[str, Callable[[Floats, Ints], Ints]] = {"global": associate_globally, "by_age": associate_by_age}
+"""Association methods by name: (cost of each pairing, age of each track) -> segment of each track."""
