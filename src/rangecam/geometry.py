@@ -61,9 +61,9 @@ def rays(lens: Lens, shape: tuple[int, int]) -> Floats:
         ray = np.stack(
             [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
         )
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    ray.setflags(write=False)
-    return ray
+    unit: Floats = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    unit.setflags(write=False)
+    return unit
 
 
 @lru_cache(maxsize=16)
@@ -79,14 +79,17 @@ def rotation(mounting: Mounting) -> Floats:
     r_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     r_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     r_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    matrix = r_z @ r_y @ r_x
+    matrix: Floats = r_z @ r_y @ r_x
     matrix.setflags(write=False)
     return matrix
 
 
+@lru_cache(maxsize=16)
 def position(mounting: Mounting) -> Floats:
-    """Return the camera centre in vehicle axes: (3,) m."""
-    return np.array([mounting.x_m, mounting.y_m, mounting.z_m])
+    """Return the camera centre in vehicle axes: (3,) m, shared and read-only."""
+    centre = np.array([mounting.x_m, mounting.y_m, mounting.z_m])
+    centre.setflags(write=False)
+    return centre
 
 
 @lru_cache(maxsize=16)
@@ -104,59 +107,32 @@ def to_world(image: RangeImage, lens: Lens, mounting: Mounting) -> Floats:
     points of invalid pixels mean nothing.
     """
     points = np.empty((*image.shape, 3), np.float32)
-    _points(image.range_m, vehicle_rays(lens, mounting, image.shape), position(mounting).astype(np.float32), points)
+    range_m = np.ascontiguousarray(image.range_m, np.float32)
+    _points(range_m, vehicle_rays(lens, mounting, image.shape), position(mounting), points)
     return points
 
 
 @njit(cache=True, nogil=True)
 def _points(range_m: Floats, ray: Floats, centre: Floats, points: Floats) -> None:
+    x, y, z = np.float32(centre[0]), np.float32(centre[1]), np.float32(centre[2])
     for row in range(range_m.shape[0]):
         for column in range(range_m.shape[1]):
-            for axis in range(3):
-                points[row, column, axis] = range_m[row, column] * ray[row, column, axis] + centre[axis]
-
-
-def to_camera(points_m: Floats, mounting: Mounting) -> Floats:
-    """Return points given in vehicle axes in camera axes: (..., 3) m, the inverse of the turn and shift of `to_world`.
-
-    P_C = R (P_W - C_W) (König 2008, eq 6.6 corrected, E-K-18, E-K-19).
-    """
-    turned: Floats = (points_m - position(mounting)) @ rotation(mounting)
-    return turned
+            value = range_m[row, column]
+            points[row, column, 0] = value * ray[row, column, 0] + x
+            points[row, column, 1] = value * ray[row, column, 1] + y
+            points[row, column, 2] = value * ray[row, column, 2] + z
 
 
 def polar(points_m: Floats) -> tuple[Floats, Floats, Floats]:
     """Return azimuth (left positive), elevation (up positive) and range of points in camera axes (..., 3): rad, rad, m.
 
-    Elevation is the angle above the xy-plane (König 2008, eq 6.3 corrected, E-K-17), so that eq 6.5 inverts it.
+    Elevation is the angle above the xy-plane (König 2008, eq 6.3 corrected, E-K-17), as in eq 6.5.
     """
     x, y, z = points_m[..., 0], points_m[..., 1], points_m[..., 2]
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)), np.linalg.norm(points_m, axis=-1)
 
 
-def cartesian(azimuth_rad: Floats, elevation_rad: Floats, range_m: Floats) -> Floats:
-    """Return the points (..., 3) in camera axes of azimuth, elevation and range (König 2008, eq 6.5)."""
-    level = np.cos(elevation_rad)
-    direction = [level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)]
-    points: Floats = np.stack(direction, axis=-1) * np.asarray(range_m)[..., None]
-    return points
-
-
-def angle_sigmas(points_m: Floats, sigma_px: Floats, lens: Lens, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return the standard deviations of azimuth and elevation (rad) that uncertain image positions cause.
-
-    points_m (N, 3) in camera axes; sigma_px (N, 2): standard deviation across columns and rows, in pixels.
-    Perspective: the derivatives of azimuth and of the corrected elevation by the position on the sensor (König 2008,
-    eqs 6.38-6.39, E-K-17), the other coordinate held; equiangular: a pixel is the same angle everywhere.
-    """
-    pitch_h, pitch_v = pixel_pitch(lens, shape)
-    if lens.projection == "equiangular":
-        return sigma_px[:, 0] * pitch_h, sigma_px[:, 1] * pitch_v
-    tan_h, tan_v = points_m[:, 1] / points_m[:, 0], points_m[:, 2] / points_m[:, 0]
-    level2 = 1 + tan_h**2
-    return sigma_px[:, 0] * pitch_h / level2, sigma_px[:, 1] * pitch_v * np.sqrt(level2) / (level2 + tan_v**2)
-
-
+@lru_cache(maxsize=16)
 def pixel_pitch(lens: Lens, shape: tuple[int, int]) -> tuple[float, float]:
     """Return the step from column to column and from row to row: rad (equiangular) or of the tangent (perspective)."""
     height, width = shape
@@ -168,29 +144,72 @@ def pixel_pitch(lens: Lens, shape: tuple[int, int]) -> tuple[float, float]:
     return pitch_h, pitch_h if half_v is None else 2 * half_v / height
 
 
-def polar_covariance(
-    azimuth_rad: Floats, elevation_rad: Floats, range_m: Floats, sigmas: tuple[Floats, Floats, Floats]
+def point_covariance(
+    points_m: Floats, sigmas: Floats, lens: Lens, mounting: Mounting, shape: tuple[int, int]
 ) -> Floats:
-    """Return the covariance in camera axes of points known in polar coordinates: (N, 3, 3) m2.
+    """Return the covariance in vehicle axes of points that a camera measured: (N, 3, 3) m2.
 
-    azimuth, elevation, range (N,); sigmas: their standard deviations (rad, rad, m), independent of each other
-    (König 2008, eqs 6.34-6.37; the Jacobian with its signs, E-K-22).
+    points_m (N, 3) in vehicle axes; sigmas (N, 3): standard deviations across columns (pixels), across rows (pixels)
+    and of the range (m), independent of each other; shape of the image. The angles follow from the pixels by the
+    derivatives of azimuth and of the corrected elevation at the point, the other coordinate held (König 2008,
+    eqs 6.38-6.39, E-K-17); the covariance in camera axes is turned into vehicle axes (E-K-22).
     """
-    (cos_a, sin_a), (cos_e, sin_e) = ((np.cos(a), np.sin(a)) for a in (azimuth_rad, elevation_rad))
-    jacobian = np.zeros((len(cos_a), 3, 3))
-    jacobian[:, 0] = np.stack([-range_m * sin_a * cos_e, -range_m * cos_a * sin_e, cos_a * cos_e], axis=-1)
-    jacobian[:, 1] = np.stack([range_m * cos_a * cos_e, -range_m * sin_a * sin_e, sin_a * cos_e], axis=-1)
-    jacobian[:, 2] = np.stack([np.zeros_like(sin_e), range_m * cos_e, sin_e], axis=-1)
-    scaled = jacobian * np.stack(sigmas, axis=-1)[:, None, :]
-    covariance: Floats = scaled @ scaled.transpose(0, 2, 1)
+    covariance = np.empty((len(points_m), 3, 3))
+    perspective = lens.projection == "perspective"
+    pose = rotation(mounting), position(mounting)
+    _point_covariance(points_m, sigmas, pixel_pitch(lens, shape), perspective, pose, covariance)
     return covariance
 
 
-def turn_covariance(covariance_m2: Floats, mounting: Mounting) -> Floats:
-    """Return covariances (N, 3, 3) given in camera axes in vehicle axes: R^T C R (König 2008, 6.4.3.3, E-K-22)."""
-    matrix = rotation(mounting)
-    turned: Floats = matrix @ covariance_m2 @ matrix.T
-    return turned
+@njit(cache=True, nogil=True, error_model="numpy")
+def _point_covariance(
+    points_m: Floats,
+    sigmas: Floats,
+    pitch: tuple[float, float],
+    perspective: bool,
+    pose: tuple[Floats, Floats],
+    covariance: Floats,
+) -> None:
+    turn, centre = pose
+    polar_m, spread, in_camera = np.empty(3), np.empty(3), np.empty((3, 3))
+    for row in range(len(points_m)):
+        x, y, z = 0.0, 0.0, 0.0  # in camera axes
+        for axis in range(3):
+            away = points_m[row, axis] - centre[axis]
+            x, y, z = x + away * turn[axis, 0], y + away * turn[axis, 1], z + away * turn[axis, 2]
+        level = math.hypot(x, y)
+        polar_m[0], polar_m[1], polar_m[2] = math.atan2(y, x), math.atan2(z, level), math.hypot(level, z)
+        # perspective: y/x and z/x change by one pitch from pixel to pixel; equiangular: the angles themselves do
+        spread[0] = sigmas[row, 0] * pitch[0] * ((x / level) ** 2 if perspective else 1.0)
+        spread[1] = sigmas[row, 1] * pitch[1] * (x * level / (level**2 + z**2) if perspective else 1.0)
+        spread[2] = sigmas[row, 2]
+        _polar_covariance(polar_m, spread, in_camera)
+        for i in range(3):
+            for j in range(3):
+                total = 0.0
+                for k in range(3):
+                    for m in range(3):
+                        total += turn[i, k] * in_camera[k, m] * turn[j, m]
+                covariance[row, i, j] = total
+
+
+@njit(cache=True, nogil=True)
+def _polar_covariance(polar_m: Floats, sigmas: Floats, covariance: Floats) -> None:
+    """Propagate azimuth, elevation and range to camera axes (König 2008, eqs 6.34-6.37; signs: E-K-22)."""
+    azimuth, elevation, range_m = polar_m
+    cos_a, sin_a, cos_e, sin_e = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation)
+    jacobian = np.array(  # of eq 6.5 by azimuth, elevation, range
+        [
+            [-range_m * sin_a * cos_e, -range_m * cos_a * sin_e, cos_a * cos_e],
+            [range_m * cos_a * cos_e, -range_m * sin_a * sin_e, sin_a * cos_e],
+            [0.0, range_m * cos_e, sin_e],
+        ]
+    )
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = 0.0
+            for k in range(3):
+                covariance[i, j] += jacobian[i, k] * jacobian[j, k] * sigmas[k] ** 2
 
 
 def _tan_half(angle_deg: float) -> float:

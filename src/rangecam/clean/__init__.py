@@ -35,13 +35,14 @@ def clean(image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSett
     Amplitude thresholds and the test for common neighbours both judge the image as it came (Steinbäck 2016, alg 4.2);
     the median takes what they left; floor and area of interest are cut from its result.
     """
-    limits = weakest_amplitudes(lens, image.shape, settings), neighbours_needed(image.shape, settings)
+    why_in = np.ascontiguousarray(image.why)
     range_m, sigma_m, amplitude = (
         np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m, image.amplitude)
     )
-    why, neighbourhood = judge(range_m, sigma_m, amplitude, image.why, limits, settings)
+    least, needed = weakest_amplitudes(lens, image.shape, settings), neighbours_needed(image.shape, settings)
+    why, around = judge((range_m, sigma_m, amplitude), why_in, least, needed, settings)
     if settings.median != "off":
-        range_m, sigma_m = smooth(range_m, sigma_m, neighbourhood, settings)
+        range_m, sigma_m = smooth(range_m, sigma_m, around, settings)
     floor = floor_limit(range_m, why, lens, mounting, settings)
     near, far = area_of_interest(lens, mounting, image.shape, settings)
     why = cut(range_m, sigma_m, why, (floor, near, far), settings)

@@ -1,9 +1,14 @@
-"""Filters on the neighbourhood of each pixel, with the standard deviation of what they return."""
+"""Filters on the neighbourhood of each pixel, with the standard deviation of what they return.
+
+The kernels have no branches within a row and write every step out, so that they become vector instructions.
+"""
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from rangecam.clean.limits import REFUSE
 from rangecam.clean.settings import CleanSettings
@@ -12,92 +17,108 @@ from rangecam.types import Floats, Ints, Why
 _LOW_AMPLITUDE, _WRAPPED, _ISOLATED = int(Why.LOW_AMPLITUDE), int(Why.WRAPPED), int(Why.ISOLATED)
 _BORDER, _FLOOR, _OUTSIDE_AREA = int(Why.BORDER), int(Why.FLOOR), int(Why.OUTSIDE_AREA)
 
-MEDIAN_SIGMA = np.sqrt([np.nan, 1, 1 / 2, 0.448671, 0.298200, 0.286834, 0.214743, 0.210447, 0.168181, 0.166101])
-"""Standard deviation of the median of n normal values of standard deviation 1, n = 0..9, midpoint where n is even."""
+
+def _singles(*values: float) -> list[Any]:
+    return [np.float32(value) for value in values]  # a double among the constants would halve the speed
+
+
+Codes = NDArray[np.uint8]
+_NAN, _ZERO, _ONE, _HALF, _HUGE = _singles(math.nan, 0, 1, 0.5, 3e38)
+_MEDIAN_VARIANCE = (1, 1 / 2, 0.448671, 0.298200, 0.286834, 0.214743, 0.210447, 0.168181, 0.166101)
+# of the median of n = 1..9 normal values of variance 1, the midpoint of the two in the middle where n is even
+_S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8, _S9 = _singles(*np.sqrt(_MEDIAN_VARIANCE))
 
 
 def judge(
-    range_m: Floats,
-    sigma_m: Floats,
-    amplitude: Floats,
+    planes: tuple[Floats, Floats, Floats],
     why: Ints,
-    limits: tuple[tuple[Floats, Floats], Ints],
+    amplitudes: tuple[Floats, Floats],
+    needed: Ints,
     settings: CleanSettings,
-) -> tuple[Ints, Floats]:
+) -> tuple[Codes, Floats]:
     """Return the first reason to refuse each pixel (H, W) uint8, and what `smooth` needs of those not refused.
 
-    limits: least amplitudes and neighbours needed of each pixel. Two pixels are common neighbours if their ranges
-    differ by no more than the sum of their reaches (Steinbäck 2016, eqs 2.8-2.9, with T_2 = tolerance + k (sigma_i +
-    sigma_j) / sqrt 2, which for equal sigmas is k times the sigma of the difference).
-    The second array (3, H + 2, W + 2) float32 holds range, reach and 1/sigma, with a rim of NaN, NaN and 0.
+    planes: range, sigma and amplitude; amplitudes: the least of each pixel, alone and times squared range; needed:
+    common neighbours it must have. Two pixels are common neighbours if their ranges differ by no more than the sum of
+    their reaches (Steinbäck 2016, eqs 2.8-2.9, with T_2 = tolerance + k (sigma_i + sigma_j) / sqrt 2, which for equal
+    sigmas is k times the sigma of the difference). Only pixels that came in valid are neighbours.
+    The second array (3, H + 2, W + 2) float32 holds range, reach and 1/sigma, with a rim of NaN, 0 and 0.
     """
-    height, width = range_m.shape
+    height, width = why.shape
     reason = np.empty((height, width), np.uint8)
-    neighbourhood = np.empty((3, height + 2, width + 2), np.float32)
-    half = np.float32(settings.neighbour_tolerance_m / 2)
-    per_sigma = np.float32(settings.neighbour_tolerance_sigmas / math.sqrt(2))
-    _spread(range_m, sigma_m, why, (half, per_sigma), neighbourhood)
-    _refuse(range_m, amplitude, why, limits, neighbourhood, reason)
-    _blank(reason, sigma_m, neighbourhood)
-    return reason, neighbourhood
+    around = np.empty((3, height + 2, width + 2), np.float32)
+    tolerance = np.array([settings.neighbour_tolerance_m / 2, settings.neighbour_tolerance_sigmas / math.sqrt(2)])
+    _spread(planes[0], planes[1], why, tolerance.astype(np.float32), around)
+    _refuse(planes, why, amplitudes, needed, around, reason)
+    _blank(reason, planes[1], around)
+    return reason, around
 
 
 @njit(cache=True, nogil=True)
-def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: tuple[float, float], around: Floats) -> None:
+def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, around: Floats) -> None:
+    """Give the image a rim of NaN; invalid pixels are NaN too, so that no comparison with them is true."""
     height, width = range_m.shape
-    nothing = np.float32(np.nan)
-    around[:, 0, :] = nothing
-    around[:, height + 1, :] = nothing
-    around[:, :, 0] = nothing
-    around[:, :, width + 1] = nothing
-    for row in range(height):
-        for column in range(width):
-            around[0, row + 1, column + 1] = range_m[row, column] if why[row, column] == 0 else nothing
-            around[1, row + 1, column + 1] = tolerance[0] + tolerance[1] * sigma_m[row, column]
+    for plane, rim in ((0, _NAN), (1, _ZERO), (2, _ZERO)):
+        around[plane, 0, :] = rim
+        around[plane, height + 1, :] = rim
+        around[plane, :, 0] = rim
+        around[plane, :, width + 1] = rim
+    for y in range(height):
+        for x in range(width):
+            around[0, y + 1, x + 1] = range_m[y, x] if why[y, x] == 0 else _NAN
+            around[1, y + 1, x + 1] = tolerance[0] + tolerance[1] * sigma_m[y, x]
 
 
 @njit(cache=True, nogil=True)
 def _refuse(
-    range_m: Floats,
-    amplitude: Floats,
+    planes: tuple[Floats, Floats, Floats],
     why: Ints,
-    limits: tuple[tuple[Floats, Floats], Ints],
+    amplitudes: tuple[Floats, Floats],
+    needed: Ints,
     around: Floats,
     reason: Ints,
 ) -> None:
-    (weakest, wrapped), needed = limits
-    height, width = range_m.shape
-    common = np.empty(width, np.int32)
-    for row in range(height):
-        common[:] = -1  # the pixel itself is counted below
-        for i in range(3):
-            for j in range(3):
-                for column in range(width):
-                    difference = abs(around[0, row + i, column + j] - around[0, row + 1, column + 1])
-                    reach = around[1, row + i, column + j] + around[1, row + 1, column + 1]
-                    common[column] += difference <= reach
-        for column in range(width):
-            light = amplitude[row, column]
-            first = _ISOLATED if common[column] < needed[row, column] else 0
-            first = _BORDER if needed[row, column] == REFUSE else first
-            first = _WRAPPED if light * range_m[row, column] * range_m[row, column] < wrapped[row, column] else first
-            first = _LOW_AMPLITUDE if light < weakest[row, column] else first
-            reason[row, column] = why[row, column] if why[row, column] != 0 else first
+    range_m, _, amplitude = planes
+    weakest, wrapped = amplitudes
+    for y in range(why.shape[0]):
+        r0, r1, r2 = around[0, y], around[0, y + 1], around[0, y + 2]
+        t0, t1, t2 = around[1, y], around[1, y + 1], around[1, y + 2]
+        for x in range(why.shape[1]):
+            value, reach = r1[x + 1], t1[x + 1]
+            common = (
+                _common(r0[x], value, reach + t0[x])
+                + _common(r0[x + 1], value, reach + t0[x + 1])
+                + _common(r0[x + 2], value, reach + t0[x + 2])
+            )
+            common += _common(r1[x], value, reach + t1[x]) + _common(r1[x + 2], value, reach + t1[x + 2])
+            common += (
+                _common(r2[x], value, reach + t2[x])
+                + _common(r2[x + 1], value, reach + t2[x + 1])
+                + _common(r2[x + 2], value, reach + t2[x + 2])
+            )
+            light, need = amplitude[y, x], needed[y, x]
+            first = _ISOLATED if common < need else 0
+            first = _BORDER if need == REFUSE else first
+            first = _WRAPPED if light * range_m[y, x] * range_m[y, x] < wrapped[y, x] else first
+            first = _LOW_AMPLITUDE if light < weakest[y, x] else first
+            reason[y, x] = why[y, x] if why[y, x] != 0 else first
+
+
+@njit(cache=True, nogil=True)
+def _common(other: float, value: float, reach: float) -> Any:
+    return _ONE if abs(other - value) <= reach else _ZERO
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _blank(reason: Ints, sigma_m: Floats, around: Floats) -> None:
-    """Leave only the pixels that were not refused for the median: range NaN and 1/sigma 0 elsewhere."""
-    height, width = reason.shape
-    for row in range(height):
-        for column in range(width):
-            kept = reason[row, column] == 0
-            value = around[0, row + 1, column + 1]
-            around[0, row + 1, column + 1] = value if kept else np.float32(np.nan)
-            around[2, row + 1, column + 1] = np.float32(1) / sigma_m[row, column] if kept else np.float32(0)
+    """Leave only the pixels that were not refused to the median: range NaN and 1/sigma 0 elsewhere."""
+    for y in range(reason.shape[0]):
+        for x in range(reason.shape[1]):
+            around[0, y + 1, x + 1] = around[0, y + 1, x + 1] if reason[y, x] == 0 else _NAN
+            around[2, y + 1, x + 1] = _ONE / sigma_m[y, x] if reason[y, x] == 0 else _ZERO
 
 
-def smooth(range_m: Floats, sigma_m: Floats, neighbourhood: Floats, settings: CleanSettings) -> tuple[Floats, Floats]:
+def smooth(range_m: Floats, sigma_m: Floats, around: Floats, settings: CleanSettings) -> tuple[Floats, Floats]:
     """Return the median of each pixel's neighbourhood and its standard deviation: (H, W) float32 m each.
 
     Only valid pixels give and get a median; only common neighbours of the pixel give one, unless `median_across_edges`.
@@ -105,69 +126,105 @@ def smooth(range_m: Floats, sigma_m: Floats, neighbourhood: Floats, settings: Cl
     of their sigmas: the density at the median of unlike values is the mean of theirs, each 1/(sqrt(2 pi) sigma).
     """
     median, sigma = range_m.copy(), sigma_m.copy()
-    columns = (0, 1, 2)
-    rows = (0, 1, 2) if settings.median == "3x3" else (1,)
-    window = np.array([[i in rows and j in columns for j in range(3)] for i in range(3)])
-    _smooth(neighbourhood, window, settings.median_across_edges, MEDIAN_SIGMA, median, sigma)
+    window = np.zeros(9, np.float32)  # added to the reach: minus huge where a neighbour never takes part
+    if settings.median == "3x1":
+        window[[0, 1, 2, 6, 7, 8]] = -np.inf
+    if settings.median_across_edges:
+        window += _HUGE
+    _smooth(around, window, median, sigma)
     return median, sigma
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _smooth(around: Floats, window: Ints, across: bool, factor: Floats, median: Floats, sigma: Floats) -> None:
-    """Sort each neighbourhood by a network of 25 exchanges (Steinbäck 2016, A.8), of which the median needs fewer.
+def _smooth(around: Floats, window: Floats, median: Floats, sigma: Floats) -> None:
+    """Sort each neighbourhood by the network of 25 exchanges (Steinbäck 2016, A.8; the compiler drops the needless).
 
-    Values that do not take part are replaced by turns with +huge and -huge, so that the median of the others stays in
-    the middle: place 4, or between 3 and 4 where their number is even. A row is handled at a time, so that the loops
-    over its columns become vector instructions.
+    Values that take no part are replaced by turns with +huge and -huge, so that the median of the others stays in the
+    middle: place 4, or between 3 and 4 where their number is even, which is where the next turn would be -huge.
     """
-    height, width = median.shape
-    sorts = np.empty((9, width), np.float32)
-    side = np.empty(width, np.float32)
-    number = np.empty(width, np.int32)
-    weight = np.empty(width, np.float32)
-    for row in range(height):
-        side[:] = _HUGE
-        number[:] = 0
-        weight[:] = 0
-        for place in range(9):
-            i, j = place // 3, place % 3
-            for column in range(width):
-                value, other = around[0, row + 1, column + 1], around[0, row + i, column + j]
-                reach = around[1, row + 1, column + 1] + around[1, row + i, column + j]
-                taken = window[i, j] & ((abs(other - value) <= reach) | (across & (other == other)))
-                sorts[place, column] = other if taken else side[column]
-                side[column] = side[column] if taken else -side[column]
-                number[column] += taken
-                weight[column] += around[2, row + i, column + j] if taken else np.float32(0)
-        for exchange in range(25):
-            first, second = _NETWORK[exchange]
-            for column in range(width):
-                a, b = sorts[first, column], sorts[second, column]
-                sorts[first, column], sorts[second, column] = min(a, b), max(a, b)
-        for column in range(width):
-            n = number[column]
-            if around[2, row + 1, column + 1] > 0:
-                low, high = sorts[3, column], sorts[4, column]
-                median[row, column] = high if n % 2 else (low + high) / 2
-                sigma[row, column] = factor[n] * n / weight[column]
+    for y in range(median.shape[0]):
+        r0, r1, r2 = around[0, y], around[0, y + 1], around[0, y + 2]
+        t0, t1, t2 = around[1, y], around[1, y + 1], around[1, y + 2]
+        w0, w1, w2 = around[2, y], around[2, y + 1], around[2, y + 2]
+        for x in range(median.shape[1]):
+            value, reach, side = r1[x + 1], t1[x + 1], _HUGE
+            v0, side, n0 = _take(r0[x], value, reach + t0[x] + window[0], side)
+            v1, side, n1 = _take(r0[x + 1], value, reach + t0[x + 1] + window[1], side)
+            v2, side, n2 = _take(r0[x + 2], value, reach + t0[x + 2] + window[2], side)
+            v3, side, n3 = _take(r1[x], value, reach + t1[x] + window[3], side)
+            v4, side, n4 = _take(r1[x + 1], value, reach + t1[x + 1] + window[4], side)
+            v5, side, n5 = _take(r1[x + 2], value, reach + t1[x + 2] + window[5], side)
+            v6, side, n6 = _take(r2[x], value, reach + t2[x] + window[6], side)
+            v7, side, n7 = _take(r2[x + 1], value, reach + t2[x + 1] + window[7], side)
+            v8, side, n8 = _take(r2[x + 2], value, reach + t2[x + 2] + window[8], side)
+            v0, v1 = _order(v0, v1)
+            v3, v4 = _order(v3, v4)
+            v6, v7 = _order(v6, v7)
+            v1, v2 = _order(v1, v2)
+            v4, v5 = _order(v4, v5)
+            v7, v8 = _order(v7, v8)
+            v0, v1 = _order(v0, v1)
+            v3, v4 = _order(v3, v4)
+            v6, v7 = _order(v6, v7)
+            v0, v3 = _order(v0, v3)
+            v3, v6 = _order(v3, v6)
+            v0, v3 = _order(v0, v3)
+            v1, v4 = _order(v1, v4)
+            v4, v7 = _order(v4, v7)
+            v1, v4 = _order(v1, v4)
+            v2, v5 = _order(v2, v5)
+            v5, v8 = _order(v5, v8)
+            v2, v5 = _order(v2, v5)
+            v1, v3 = _order(v1, v3)
+            v5, v7 = _order(v5, v7)
+            v2, v6 = _order(v2, v6)
+            v4, v6 = _order(v4, v6)
+            v2, v4 = _order(v2, v4)
+            v2, v3 = _order(v2, v3)
+            v5, v6 = _order(v5, v6)
+            weight = n0 * w0[x] + n1 * w0[x + 1] + n2 * w0[x + 2]
+            weight += n3 * w1[x] + n4 * w1[x + 1] + n5 * w1[x + 2]
+            weight += n6 * w2[x] + n7 * w2[x + 1] + n8 * w2[x + 2]
+            n = n0 + n1 + n2 + n3 + n4 + n5 + n6 + n7 + n8
+            middle = _HALF * (v3 + v4) if side < _ZERO else v4
+            median[y, x] = middle if w1[x + 1] > _ZERO else median[y, x]
+            sigma[y, x] = _median_sigma(n) * n / weight if w1[x + 1] > _ZERO else sigma[y, x]
 
 
-_HUGE = np.float32(3e38)
-_NETWORK = (
-    *((0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (0, 3), (3, 6), (0, 3), (1, 4)),
-    *((4, 7), (1, 4), (2, 5), (5, 8), (2, 5), (1, 3), (5, 7), (2, 6), (4, 6), (2, 4), (2, 3), (5, 6)),
-)
+@njit(cache=True, nogil=True)
+def _take(other: float, value: float, reach: float, side: float) -> tuple[float, float, float]:
+    taken = abs(other - value) <= reach
+    return (other if taken else side), (side if taken else -side), (_ONE if taken else _ZERO)
+
+
+@njit(cache=True, nogil=True)
+def _order(a: float, b: float) -> tuple[float, float]:
+    return (a if a < b else b), (b if a < b else a)
+
+
+@njit(cache=True, nogil=True)
+def _median_sigma(n: float) -> Any:
+    sigma = _S1
+    sigma = _S2 if n == 2 else sigma
+    sigma = _S3 if n == 3 else sigma
+    sigma = _S4 if n == 4 else sigma
+    sigma = _S5 if n == 5 else sigma
+    sigma = _S6 if n == 6 else sigma
+    sigma = _S7 if n == 7 else sigma
+    sigma = _S8 if n == 8 else sigma
+    sigma = _S9 if n == 9 else sigma
+    return sigma
 
 
 def cut(
     range_m: Floats, sigma_m: Floats, why: Ints, limits: tuple[Floats, Floats, Floats], settings: CleanSettings
-) -> Ints:
+) -> Codes:
     """Return why (H, W) uint8 with the pixels that see the floor or lie outside the area of interest refused too.
 
     limits: the range at which each pixel meets the floor, enters and leaves the area.
     """
-    reason = np.empty_like(why)
-    _cut(range_m, sigma_m, why, limits, np.float32(settings.floor_margin_sigmas), reason)
+    reason = np.empty(why.shape, np.uint8)
+    _cut(range_m, sigma_m, why, limits, settings.floor_margin_sigmas, reason)
     return reason
 
 
@@ -176,10 +233,10 @@ def _cut(
     range_m: Floats, sigma_m: Floats, why: Ints, limits: tuple[Floats, Floats, Floats], sigmas: float, reason: Ints
 ) -> None:
     floor, near, far = limits
-    for row in range(range_m.shape[0]):
-        for column in range(range_m.shape[1]):
-            value = range_m[row, column]
-            inside = (value >= near[row, column]) & (value <= far[row, column])
-            first = 0 if inside else _OUTSIDE_AREA
-            first = _FLOOR if value + sigmas * sigma_m[row, column] > floor[row, column] else first
-            reason[row, column] = why[row, column] if why[row, column] != 0 else first
+    factor = np.float32(sigmas)
+    for y in range(range_m.shape[0]):
+        for x in range(range_m.shape[1]):
+            value = range_m[y, x]
+            first = 0 if (value >= near[y, x]) & (value <= far[y, x]) else _OUTSIDE_AREA
+            first = _FLOOR if value + factor * sigma_m[y, x] > floor[y, x] else first
+            reason[y, x] = why[y, x] if why[y, x] != 0 else first

@@ -4,6 +4,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from rangecam.clean.settings import CleanSettings
 from rangecam.geometry import Lens, Mounting, polar, position, rays, rotation
@@ -41,11 +42,12 @@ def neighbours_needed(shape: tuple[int, int], settings: CleanSettings) -> Ints:
     """Return how many common neighbours each pixel needs: (H, W) uint8; at the border the same share of fewer."""
     there = np.zeros((shape[0] + 2, shape[1] + 2), int)
     there[1:-1, 1:-1] = 1
-    around = sum(np.roll(there, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))[1:-1, 1:-1] - 1
+    around = sliding_window_view(there, (3, 3)).sum(axis=(2, 3)) - 1
     needed = -(-settings.min_neighbours * around // 8)
     if settings.discard_border:
         needed[around < 8] = REFUSE
-    return needed.astype(np.uint8)
+    result: Ints = needed.astype(np.uint8)
+    return result
 
 
 def floor_limit(range_m: Floats, why: Ints, lens: Lens, mounting: Mounting, settings: CleanSettings) -> Floats:
