@@ -58,7 +58,7 @@ def _shutter_planes(
     single_v, ambient_vps = (np.empty((count, camera.rows, camera.columns)) for _ in range(2))
     widths_s = np.empty((count, 1, 1))
     for i, name in enumerate(camera.shutters):
-        seen = view(time_s + (i - (count - 1) / 2) * apart_s)
+        seen = _look(view, time_s + (i - (count - 1) / 2) * apart_s, camera)
         window = shutter_windows(camera)[name]
         widths_s[i] = window[1] - window[0]
         single_v[i] = volts * laser_exposure(seen, window, camera.laser_delay_s, camera)  # eq 4.13
@@ -72,7 +72,7 @@ def _tap_planes(
     view: Callable[[float], View], camera: PulsedCamera, time_s: float, rng: np.random.Generator
 ) -> dict[str, Floats]:
     """Return the three taps and their dark images (the laser off, the background not), in counts."""
-    seen, taps, shape = view(time_s), camera.taps, (camera.rows, camera.columns)
+    seen, taps, shape = _look(view, time_s, camera), camera.taps, (camera.rows, camera.columns)
     to_counts = taps.counts_per_jpm2 * taps.pulses
     planes = {}
     for name, window in gate_windows(camera).items():
@@ -88,18 +88,22 @@ def _tap_planes(
     return planes
 
 
+def _look(view: Callable[[float], View], time_s: float, camera: PulsedCamera) -> View:
+    seen = view(time_s)
+    if seen.range_m.ndim != 3 or seen.range_m.shape[1:] != (camera.rows, camera.columns):
+        raise DataError(
+            f"view of shape {seen.range_m.shape}: the camera needs (rays, {camera.rows}, {camera.columns}), "
+            "its rows and columns"
+        )
+    return seen
+
+
 def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCamera) -> Floats:
     """Return the exposure of one pulse within a window, J/m2 (H, W): the mean over the rays of each pixel.
 
     delay_s: of the pulse when it leaves. König 2008, eqs 3.11 and 3.16.
-    Raises DataError if the view has another size than the camera.
     """
     range_m = np.maximum(view.range_m, _NEAREST_M)
-    if range_m.shape[1:] != (camera.rows, camera.columns):
-        raise DataError(
-            f"view of shape {range_m.shape}: the camera needs (rays, {camera.rows}, {camera.columns}), "
-            "its rows and columns"
-        )
     flight_s = 2 / camera.speed_of_light_mps * range_m
     irradiance = view.reflectivity * view.cos_incidence / range_m**2 * _light(camera)[0]
     exposure: Floats = (irradiance * collected_s(delay_s + flight_s, window, camera)).mean(axis=0)

@@ -168,7 +168,7 @@ def _gate_settings(camera: PulsedCamera) -> Floats:
             f"camera.pulse_width_s = {pulse_s:g}, or pulses that lie within gate 2 all look alike"
         )
     nearest_s = max(closes_s - pulse_s, 0.0) if camera.pulse_lead_s == 0 else -closes_s
-    farthest_s = 2 * closes_s - pulse_s
+    farthest_s = closes_s + min(closes_s - pulse_s, 0.0)
     noise = camera.taps
     return np.array(
         [
