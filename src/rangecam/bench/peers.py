@@ -171,8 +171,8 @@ def filterpy_tracker(segments: Segments, dt_s: float) -> Callable[[], Any]:
             inverse = np.linalg.inv(kalman.H @ kalman.P @ kalman.H.T + segments.covariance_m2[i])
             cost[i] = np.einsum("ni,ij,nj->n", innovation, inverse, innovation)
         cost[cost > 16.27] = 1e6
-        for i, j in zip(*linear_sum_assignment(cost), strict=True):
-            filters[i].update(segments.position_m[j], R=segments.covariance_m2[j])
+        for row, column in zip(*linear_sum_assignment(cost), strict=True):
+            filters[row].update(segments.position_m[column], R=segments.covariance_m2[column])
 
     return step
 

@@ -17,7 +17,7 @@ from rangecam.clean import clean
 from rangecam.config import Config, load_config
 from rangecam.io import open_source
 from rangecam.pipeline import RANGING, process_frame
-from rangecam.scene import View
+from rangecam.scene.view import View
 from rangecam.segmentation import SEGMENTATION
 from rangecam.tracking import update_tracks
 from rangecam.types import Capture, Segments, Tracks
@@ -77,6 +77,10 @@ def _peer(package: str, name: str, make: Maker, *arguments: Any) -> tuple[str, C
     return name, make(*arguments)
 
 
+def _given(function: Callable[..., Any] | None, *arguments: Any) -> Callable[[], Any] | None:
+    return None if function is None else partial(function, *arguments)
+
+
 def _moment(url: str, number: int, *layers: dict[str, Any]) -> Moment:
     source = open_source(url, layers=layers)
     tracks = Tracks.empty()
@@ -118,12 +122,13 @@ def _continuous_wave(seconds: float) -> Iterator[Row]:
             image = RANGING[config.ranging](moment.capture.raw, config.camera)
             return clean(image, config.camera.lens, config.mounting, config.clean)
 
-        for work, ours, make in (
+        works: list[tuple[str, Callable[[], Any], Maker]] = [
             ("cw_range", cleaned_range, peers.opencv_cw_range),
             ("cw_chain", _chain(moment), peers.opencv_cw_chain),
-        ):
+        ]
+        for work, ours, make in works:
             name, theirs = _peer("cv2", "OpenCV", make, config)
-            yield race(f"{work}_{width}x{height}", ours, name, theirs and partial(theirs, planes), seconds)
+            yield race(f"{work}_{width}x{height}", ours, name, _given(theirs, planes), seconds)
 
 
 def _pulsed(seconds: float) -> Iterator[Row]:
@@ -131,7 +136,7 @@ def _pulsed(seconds: float) -> Iterator[Row]:
     yield from _stages("usercams", moment, seconds)
     name, theirs = _peer("cv2", "OpenCV", peers.opencv_pulsed_chain, moment.config)
     planes = moment.capture.raw.planes
-    yield race("pulsed_chain_64x8", _chain(moment), name, theirs and partial(theirs, planes), seconds)
+    yield race("pulsed_chain_64x8", _chain(moment), name, _given(theirs, planes), seconds)
 
 
 def _tracker(seconds: float) -> Iterator[Row]:
@@ -175,16 +180,21 @@ def _segmentation(seconds: float) -> Iterator[Row]:
     image, points = kept["clean"], kept["geometry"]
     ours = partial(SEGMENTATION["region_growing"], image, points, moment.config.segments)
     name, theirs = _peer("cv2", "OpenCV flood fill", peers.opencv_segments, moment.config)
-    yield race("region_growing_160x120", ours, name, theirs and partial(theirs, image.range_m, image.valid), seconds)
+    yield race("region_growing_160x120", ours, name, _given(theirs, image.range_m, image.valid), seconds)
 
 
 def _simulation(seconds: float) -> Iterator[Row]:
-    for work, preset, simulate in (
-        ("simulate_cw_160x120", "scaled_car", cw.simulate),
-        ("simulate_pulsed_64x8", "usercams", pulsed.simulate),
-    ):
+    """Yield a row for each forward model: samples of a plane at 4 m, given its range and reflectivity."""
+    simulators: dict[str, Callable[..., Any]] = {"cw": cw.simulate, "pulsed": pulsed.simulate}
+    for work, preset in (("simulate_cw_160x120", "scaled_car"), ("simulate_pulsed_64x8", "usercams")):
         camera = load_config(preset).camera
         shape = (1, camera.rows, camera.columns)
         view = View(np.full(shape, 4.0), np.full(shape, 0.5), np.ones(shape))
         rng = np.random.default_rng(1)
-        yield race(work, partial(simulate, lambda _, view=view: view, camera, 0.0, rng), "", None, seconds)
+        ours = partial(simulators[camera.kind], partial(_same_view, view), camera, 0.0, rng)
+        yield race(work, ours, "", None, seconds)
+
+
+def _same_view(view: View, time_s: float) -> View:
+    """Return the view of a scene in which nothing moves."""
+    return view

@@ -113,6 +113,7 @@ def moment(frame: Frame, ego: Ego) -> Moment:
     )
 
 
+@matplotlib.rc_context(STYLE)
 def images(image: RangeImage, ranged: RangeImage, lens: Lens) -> str:
     """Draw amplitude, range, sigma and the reasons for invalid pixels."""
     aspect = _aspect(lens, image.shape)
@@ -128,6 +129,7 @@ def images(image: RangeImage, ranged: RangeImage, lens: Lens) -> str:
     return _png(figure)
 
 
+@matplotlib.rc_context(STYLE)
 def life(stages: LifeOfAFrame, frame: Frame, config: Config) -> str:
     """Draw raw planes, the image after ranging and after every cleaning stage, and the segments with their boxes."""
     lens, shape = config.camera.lens, frame.image.shape
@@ -135,7 +137,7 @@ def life(stages: LifeOfAFrame, frame: Frame, config: Config) -> str:
     ranged, limits = stages.before_cleaning(), range_limits(stages.before_cleaning())
     planes = list(frame.raw.planes.items())[:4]
     cleaned = stages.cleaning()
-    figure, axes = _grid(len(planes) + 1 + len(cleaned) + 1, shape, aspect)
+    figure, axes = _grid(len(planes) + 1 + len(cleaned) + 2, shape, aspect)
     panel = iter(axes)
     for name, plane in planes:
         _show(figure, next(panel), np.asarray(plane, dtype=float), f"raw: {name}", aspect, "gray")
@@ -144,14 +146,15 @@ def life(stages: LifeOfAFrame, frame: Frame, config: Config) -> str:
     )
     before = ranged
     for name, image in cleaned:
-        lost = int(before.valid.sum()) - int(image.valid.sum())
-        title = f"{name}: {lost} pixels fewer" if lost else f"{name}: noise only"
+        title = f"{name}: {_change(before, image)}"
         _show(figure, next(panel), _masked(image.range_m, image), title, aspect, "turbo_r", limits)
         before = image
     _show_segments(next(panel), frame, aspect)
+    _show_histogram(next(panel), frame)
     return _png(figure)
 
 
+@matplotlib.rc_context(STYLE)
 def from_above(
     frame: Frame,
     stages: LifeOfAFrame,
@@ -163,6 +166,7 @@ def from_above(
     figure = _figure(10.5, 5.4)
     ax = figure.add_subplot()
     points, valid = stages.points(), frame.image.valid
+    now = {track.track_id: track for track in frame.tracks if track.status != TrackStatus.TENTATIVE}
     for label in range(int(frame.labels.max(initial=0)) + 1):
         chosen = valid & (frame.labels == label)
         colour = MUTED if label == 0 else PALETTE[(label - 1) % len(PALETTE)]
@@ -177,13 +181,13 @@ def from_above(
     for number, trail in trails.items():
         colour = PALETTE[number % len(PALETTE)]
         x, y = np.array(trail).T
+        place = (float(x[-1]), float(y[-1]))
         ax.plot(x, y, "-", color=colour, linewidth=1.4, alpha=0.8)
-        ax.annotate(
-            f"#{number} {classes[number]}", (x[-1], y[-1]), color=colour, xytext=(4, 4), textcoords="offset points"
-        )
-    for track in frame.tracks:
-        if track.status != TrackStatus.TENTATIVE:
-            _ellipse(ax, track.position_m[:2], track.covariance[np.ix_(POSITION[:2], POSITION[:2])])
+        if number in now:
+            place = (float(now[number].position_m[0]), float(now[number].position_m[1]))
+            _ellipse(ax, now[number].position_m[:2], now[number].covariance[np.ix_(POSITION[:2], POSITION[:2])])
+        name = f"#{number} {classes[number]}"
+        ax.annotate(name, place, color=colour, weight="bold", xytext=(6, 8), textcoords="offset points")
     half = config.decision.corridor.width_m / 2
     for side in (-half, half):
         ax.axhline(side, color=MUTED, linestyle=(0, (4, 4)), linewidth=0.8)
@@ -196,9 +200,12 @@ def from_above(
     )
     ax.set_xlim(left=min(config.mounting.x_m, 0.0) - 0.02 * max(1.0, ax.get_xlim()[1]))
     ax.grid(visible=True)
+    ratio = np.ptp(ax.get_ylim()) / np.ptp(ax.get_xlim())
+    figure.set_size_inches(10.5, float(np.clip(10.2 * ratio + 0.9, 2.4, 8.0)))
     return _png(figure)
 
 
+@matplotlib.rc_context(STYLE)
 def timeline(moments: Sequence[Moment]) -> str:
     """Draw free way, speeds, time to collision and collision probability over time; braking is shaded."""
     columns = {name: np.array([getattr(m, name) for m in moments]) for name in Moment.__dataclass_fields__}
@@ -207,13 +214,14 @@ def timeline(moments: Sequence[Moment]) -> str:
     axes = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": [2, 1.4, 1.6, 1]})
     mark = "o" if len(moments) == 1 else ""
     axes[0].plot(t, columns["distance_m"], marker=mark, color=PALETTE[0], label="free way")
-    axes[0].plot(t, columns["stopping_distance_m"], marker=mark, color=RED, label="distance at which the rule brakes")
+    axes[0].plot(t, columns["stopping_distance_m"], marker=mark, color=RED, label="stopping distance")
     axes[0].set(ylabel="m", ylim=(0, None))
     axes[1].plot(t, columns["closing_speed_mps"], marker=mark, color=PALETTE[0], label="closing speed")
     if np.isfinite(columns["ego_speed_mps"]).any():
         axes[1].plot(t, columns["ego_speed_mps"], marker=mark, color=MUTED, label="own speed")
     axes[1].set(ylabel="m/s")
-    ttc, spread = columns["ttc_s"], 2 * columns["ttc_sigma_s"]
+    ttc = columns["ttc_s"]
+    spread = np.where(np.isfinite(ttc), 2 * columns["ttc_sigma_s"], np.nan)
     axes[2].fill_between(t, np.clip(ttc - spread, 0, None), ttc + spread, color=PALETTE[3], alpha=0.2, linewidth=0)
     axes[2].plot(t, ttc, marker=mark, color=PALETTE[3], label="time to collision, two standard deviations")
     seen = ttc[np.isfinite(ttc)]
@@ -237,9 +245,9 @@ def range_limits(image: RangeImage) -> tuple[float, float]:
 
 
 def _figure(width: float, height: float) -> Figure:
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
-        FigureCanvasAgg(figure)
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(h_pad=0.08, w_pad=0.06)
     return figure
 
 
@@ -250,8 +258,7 @@ def _grid(panels: int, shape: tuple[int, int], aspect: float) -> tuple[Figure, l
     rows = -(-panels // columns)
     width = 10.5
     figure = _figure(width, rows * (width / columns * max(ratio, 0.25) * 0.86 + 0.5))
-    with matplotlib.rc_context(STYLE):
-        axes = list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
+    axes = list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
     for ax in axes[panels:]:
         ax.set_visible(False)
     return figure, axes
@@ -295,12 +302,31 @@ def _show_why(ax: Axes, image: RangeImage, aspect: float) -> None:
     counts = np.bincount(image.why.ravel(), minlength=len(Why))
     present = [why for why in Why if counts[why]]
     patches = [Patch(facecolor=WHY_COLOURS[why], edgecolor=MUTED, label=_share(why, counts)) for why in present]
-    ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=8, borderaxespad=0)
+    ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(0, -0.02), ncols=3, fontsize=8, borderaxespad=0)
     ax.set(title="Why a pixel is invalid", xticks=[], yticks=[])
 
 
 def _share(why: Why, counts: Any) -> str:
     return f"{why.name.lower().replace('_', ' ')} {100 * counts[why] / counts.sum():.1f} %"
+
+
+def _change(before: RangeImage, after: RangeImage) -> str:
+    """Return in words what a stage of cleaning did."""
+    lost = int(before.valid.sum()) - int(after.valid.sum())
+    if lost:
+        return f"{lost} pixels fewer"
+    same = np.array_equal(before.range_m[after.valid], after.range_m[after.valid])
+    return "no change" if same else "less noise"
+
+
+def _show_histogram(ax: Axes, frame: Frame) -> None:
+    """Draw how many valid pixels lie at which range, stacked by segment."""
+    ranges = frame.image.range_m
+    low, high = range_limits(frame.image)
+    shown = [frame.image.valid & (frame.labels == label) for label in range(len(frame.segments) + 1)]
+    colours = [MUTED, *(PALETTE[i % len(PALETTE)] for i in range(len(frame.segments)))]
+    ax.hist([ranges[s] for s in shown], bins=60, range=(0.9 * low, 1.1 * high), stacked=True, color=colours)
+    ax.set(title="pixels over range (m)", yticks=[])
 
 
 def _show_segments(ax: Axes, frame: Frame, aspect: float) -> None:
@@ -336,6 +362,5 @@ def _shade(ax: Axes, times: Floats, braking: Image) -> None:
 
 def _png(figure: Figure) -> str:
     buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(buffer, format="png")
+    figure.savefig(buffer, format="png")
     return base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,0 +1,94 @@
+"""The benchmark: rows by their fixed names, peers that compute the same thing, absent peers named."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rangecam.bench.works as works
+from rangecam.bench import measure, peers, table
+from rangecam.bench.race import Row, race
+from rangecam.cli import main
+from rangecam.pipeline import RANGING, call, process_frame
+from rangecam.types import Tracks
+
+ROWS = {
+    *("cw_range_160x120", "cw_chain_160x120", "cw_range_640x480", "cw_chain_640x480", "pulsed_chain_64x8"),
+    *("tracker_20_ca", "region_growing_160x120", "simulate_cw_160x120", "simulate_pulsed_64x8"),
+}
+
+
+@pytest.fixture(scope="module")
+def result() -> dict[str, Any]:
+    return measure(0.01)
+
+
+def test_every_row_has_its_name_and_positive_times(result: dict[str, Any]) -> None:
+    names = [row["work"] for row in result["rows"]]
+    assert set(names) >= ROWS
+    assert {
+        f"{camera}: {stage}" for camera in ("scaled_car", "usercams") for stage in ("ranging", "clean", "tracking")
+    } <= {*names}
+    assert all(row["ms"] > 0 for row in result["rows"])
+    assert all(
+        row["ratio"] == pytest.approx(row["peer_ms"] / row["ms"], rel=0.05) for row in result["rows"] if row["peer_ms"]
+    )
+
+
+def test_the_table_has_a_line_for_every_row(result: dict[str, Any]) -> None:
+    assert len(table(result).splitlines()) == len(result["rows"]) + 2
+
+
+def test_a_peer_that_is_not_installed_is_named_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(works, "find_spec", lambda package: None)
+    name, function = works._peer("cv2", "OpenCV", peers.opencv_cw_range)
+    assert function is None
+    assert "OpenCV: not installed" in name
+    row = race("work", lambda: None, name, function, 0.001)
+    assert (row.peer_ms, row.ratio) == (None, None)
+    assert "-" in table(
+        {"machine": "m", "rows": [{"work": "w", "ms": 1.0, "peer": name, "peer_ms": None, "ratio": None}]}
+    )
+
+
+def test_the_ratio_says_how_many_times_faster_we_are() -> None:
+    assert Row("w", 2.0, "p", 8.0).ratio == 4.0
+
+
+def test_the_opencv_composition_finds_the_same_cleaned_range() -> None:
+    moment = works._moment("scenario:approach-box", 12)
+    kept: dict[str, Any] = {}
+
+    def keep(stage: str, function: Any, *arguments: Any) -> Any:
+        kept[stage] = call(stage, function, *arguments)
+        return kept[stage]
+
+    process_frame(moment.capture.raw, Tracks.empty(), moment.capture.ego, moment.config, keep)
+    range_m, mask = peers.opencv_cw_range(moment.config)(moment.capture.raw.planes)
+    ours, both = kept["clean"], kept["clean"].valid & (mask > 0)
+    assert both.sum() > 0.7 * ours.valid.sum()
+    assert np.median(np.abs(range_m - ours.range_m)[both]) < 0.02
+
+
+def test_the_opencv_chains_find_the_same_nearest_object() -> None:
+    for url, number, make in (
+        ("scenario:approach-box", 45, peers.opencv_cw_chain),
+        ("scenario:braking-car", 120, peers.opencv_pulsed_chain),
+    ):
+        moment = works._moment(url, number)
+        frame = works._chain(moment)()
+        assert moment.config.ranging in RANGING
+        nearest = make(moment.config)(moment.capture.raw.planes)
+        assert nearest == pytest.approx(frame.segments.position_m[:, 0].min(), abs=0.5)
+
+
+def test_the_command_prints_one_json_object(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = {"rows": [{"work": "w", "ms": 1.0, "peer": "p", "peer_ms": 2.0, "ratio": 2.0}], "machine": "m"}
+    monkeypatch.setattr("rangecam.bench.measure", lambda seconds: short)
+    assert main(["bench", "--seconds", "0.01", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == short
+    assert main(["bench"]) == 0
+    assert "ratio" in capsys.readouterr().out
