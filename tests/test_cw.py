@@ -167,6 +167,13 @@ def test_sigma_is_the_scatter_of_the_range():
     assert np.mean(scatter / mean) == pytest.approx(1, abs=0.03)  # 42 pixels of 3.5 % each: 4 sigma are 2.2 %
 
 
+@pytest.mark.parametrize(("modulation_hz", "ratio"), [(30e6, 17 / 30), (12e6, 17 / 12)])
+def test_range_noise_falls_as_the_modulation_frequency_rises(modulation_hz, ratio):
+    raw = frame(*samples_of(1.0, 200.0))
+    other = cw_four_phase(raw, replace(EXACT, modulation_hz=modulation_hz))
+    assert other.sigma_m[0, 0] / cw_four_phase(raw, EXACT).sigma_m[0, 0] == pytest.approx(ratio, rel=1e-5)  # N-S-044
+
+
 def test_rounding_adds_a_twelfth_of_a_squared_step():
     raw = frame(*samples_of(0.4, 200.0))
     coarse = replace(EXACT, quantisation_lsb=16.0, shot_noise_lsb2_per_lsb=0.0)

@@ -43,11 +43,13 @@ def exposure_times_s(camera: CwCamera, time_s: float) -> list[float]:
 
 def _convert(samples: Floats, camera: CwCamera) -> Image:
     """Return samples as the converter gives them: rounded to its step and kept within its limits."""
-    step = camera.quantisation_lsb
+    step, low, high = camera.quantisation_lsb, camera.lower_limit_lsb, camera.full_scale_lsb
     if step > 0:
         samples = np.round(samples / step) * step
-    samples = np.clip(samples, camera.lower_limit_lsb, camera.full_scale_lsb)
+    if low is not None:
+        samples = np.maximum(samples, low)
+    if high is not None:
+        samples = np.minimum(samples, high)
     samples[: camera.pseudo_rows] = 0
-    low, high = camera.lower_limit_lsb, camera.full_scale_lsb
     whole = step >= 1 and step == int(step) and low is not None and low >= 0 and high is not None and high <= 65535
     return samples.astype(np.uint16 if whole else np.float32)
