@@ -2,8 +2,8 @@
 
     import rangecam
 
-    config = rangecam.load_config("scaled_car")
-    for frame in rangecam.run(rangecam.open_source("scenario:test-scene", config).captures, config):
+    source = rangecam.open_source("scenario:test-scene")
+    for frame in rangecam.run(source.captures, source.config):
         print(frame.decision.reason)
 
 `rangecam.pipeline.process_frame` is the whole chain in one function; ARCHITECTURE.md is the map.
