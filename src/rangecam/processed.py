@@ -23,11 +23,9 @@ class ProcessedCamera:
     columns: PositiveInt = 160
     frame_rate_hz: Positive = 30.0
     lens: Lens = Lens()
-    measures: Literal["range", "depth"] = "range"
-    """What the values of a plane `range_m` are: radial range, or depth along the optical axis.
-
-    A plane named `depth_m` is always depth.
-    """
+    measures: Literal["as_named", "range", "depth"] = "as_named"
+    """What the values are: `range_m` radial and `depth_m` along the optical axis as the planes are named, or the one
+    or the other whatever the name."""
     noise_floor_m: Positive = 0.005
     """Standard deviation of the range at close range."""
     noise_relative: NonNegative = 0.01
@@ -128,14 +126,12 @@ _NO_TARGET = 255  # status of a zone without a target, as the VL53L5CX reports i
 
 def _measured(planes: Mapping[str, Image], camera: ProcessedCamera, shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return the radial range and the factor between it and the measured quantity (the cosine for depth)."""
-    if "depth_m" in planes:
-        measured, is_depth = planes["depth_m"], True
-    elif "range_m" in planes:
-        measured, is_depth = planes["range_m"], camera.measures == "depth"
-    else:
+    name = next((name for name in ("range_m", "depth_m") if name in planes), None)
+    if name is None:
         raise DataError(f"no range in the frame: planes are {', '.join(planes)}; needed is range_m or depth_m")
+    is_depth = (name if camera.measures == "as_named" else camera.measures).startswith("depth")
     axis = rays(camera.lens, shape)[..., 0] if is_depth else np.ones(shape)
-    return measured / axis, axis
+    return planes[name] / axis, axis
 
 
 def _flagged(planes: Mapping[str, Image], camera: ProcessedCamera, shape: tuple[int, int]) -> Ints:
