@@ -99,7 +99,7 @@ def _singer(T: float, q: float, rate: float, F: Floats, Q: Floats) -> None:
         response = _response(T * (1 + _NODES[node]) / 2, rate)
         for a in range(3):
             for b in range(3):
-                Q[a, b] += q * _WEIGHTS[node] * T / 2 * response[a] * response[b]
+                Q[a, b] += q * _WEIGHTS[node] * T / 2 * (response[a] * response[b])
     a_to_x, a_to_v, a_to_a = _response(T, rate)
     _transition(F, T, a_to_x, a_to_v, a_to_a)
 

@@ -5,12 +5,14 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from rangecam.collision import CorridorSettings, predict_collisions
 from rangecam.settings import Fraction, NonNegative, Positive, settings
-from rangecam.types import CLASSES, Collisions, Decision, Ego, Floats, Tracks, TrackStatus
+from rangecam.types import CLASSES, Collisions, Decision, Ego, Floats, Ints, Tracks, TrackStatus
 
 GRAVITY_MPS2 = 9.81
+_TENTATIVE = int(TrackStatus.TENTATIVE)
 
 
 @settings
@@ -118,7 +120,7 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
     distance_m = _free_way(tracks, collisions, settings)
     chosen, brake, threat = -1, False, Threat(math.nan, math.nan, 0.0)
     for i in distance_m.argsort():
-        if not math.isfinite(distance_m[i]):
+        if not distance_m[i] < math.inf:
             break
         sigma_mps = math.sqrt(tracks.covariance[i, 1, 1])
         closing = closing_speed(float(tracks.state[i, 1]), sigma_mps, ego, settings)
@@ -150,12 +152,27 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
 
 def _free_way(tracks: Tracks, collisions: Collisions, settings: DecisionSettings) -> Floats:
     """Return the way in m to the nearest surface of each track (N,), inf for those that do not count."""
-    corridor = settings.corridor
-    distance_m = tracks.state[:, 0] - tracks.near_offset_m - corridor.front_m
-    reach_m = (corridor.width_m + tracks.size_m[:, 1]) / 2
-    inside = (np.abs(tracks.state[:, 3]) <= reach_m) & (collisions.p_collision > 0)
-    counts = (inside | (collisions.p_collision >= settings.min_probability)) & (tracks.status != TrackStatus.TENTATIVE)
-    return np.where(counts, distance_m, np.inf)
+    distance_m = np.empty(len(tracks.status))
+    limits = settings.corridor.width_m, settings.corridor.front_m, settings.min_probability
+    shapes = tracks.near_offset_m, tracks.size_m
+    _free_ways(tracks.status, tracks.state, shapes, collisions.p_collision, limits, distance_m)
+    return distance_m
+
+
+@njit(cache=True, nogil=True)
+def _free_ways(
+    status: Ints,
+    state: Floats,
+    shapes: tuple[Floats, Floats],
+    p_collision: Floats,
+    limits: tuple[float, float, float],
+    distance: Floats,
+) -> None:
+    width, front, min_probability = limits
+    for i in range(status.size):
+        inside = abs(state[i, 3]) <= (width + shapes[1][i, 1]) / 2 and p_collision[i] > 0
+        counts = status[i] != _TENTATIVE and (inside or p_collision[i] >= min_probability)
+        distance[i] = state[i, 0] - shapes[0][i] - front if counts else math.inf
 
 
 def _reason(tracks: Tracks, i: int, threat: Threat, stopping_m: float) -> str:
