@@ -28,8 +28,9 @@ def world(**settings):
 
 
 def small(preset, **camera):
-    """A configuration with an image of 8 by 12 pixels."""
-    return load_config(preset, {"camera": {"rows": 8, "columns": 12, **camera}, "mounting": {"z_m": 1.0}})
+    """A configuration with an image of 8 by 12 pixels that looks straight ahead."""
+    ahead = {"x_m": 0.0, "z_m": 1.0, "pitch_deg": 0.0, "yaw_deg": 0.0, "roll_deg": 0.0}
+    return load_config(preset, {"camera": {"rows": 8, "columns": 12, **camera}, "mounting": ahead})
 
 
 def same(one, other):
