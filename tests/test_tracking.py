@@ -110,7 +110,7 @@ def test_twenty_tracks_with_correlated_noise_are_those_of_the_textbook(model: st
     for k in range(1, 6):
         B = rng.normal(0, 0.05, (20, 3, 3))
         R = B @ B.transpose(0, 2, 1) + 1e-3 * np.eye(3)
-        z = z + [-0.05, 0.01, 0] + rng.normal(0, 0.02, z.shape)
+        z = z + rng.normal([-0.05, 0.01, 0], 0.02, z.shape)
         x, P, nis = reference(tracks, z, R, 0.04, settings.motion)
         tracks = update_tracks(tracks, seen(z, covariance_m2=R), 0.04 * k, settings)
         np.testing.assert_allclose(tracks.state, x, rtol=1e-9, atol=1e-10)
@@ -266,11 +266,13 @@ def test_by_age_the_oldest_chooses_first_and_globally_both_are_served() -> None:
 
 def test_the_association_is_chosen_by_name() -> None:
     assert set(typing.get_args(typing.get_type_hints(TrackingSettings)["association"])) == set(ASSOCIATION)
-    pair = [seen([[5, 0, 0], [5, 0.5, 0]])] * 5
-    after = [
-        follow([*pair, seen([5, 0.3, 0])], dataclasses.replace(PLAIN, association=name))[-1] for name in ASSOCIATION
-    ]
-    assert all(len(tracks) == 2 for tracks in after)
+
+
+def test_the_named_association_is_the_one_that_is_used() -> None:
+    frames = [seen([5, 0, 0])] * 3 + [seen([[5, 0, 0], [5, 0.8, 0]])] * 9 + [seen([[5, 0.4, 0], [5, -0.42, 0]])]
+    last = {name: follow(frames, dataclasses.replace(PLAIN, association=name))[-1] for name in ASSOCIATION}
+    np.testing.assert_array_equal(last["by_age"].segment, [1, 0, 2])  # the oldest takes the nearest
+    np.testing.assert_array_equal(last["global"].segment, [2, 1])
 
 
 def test_two_objects_that_cross_keep_their_identities() -> None:
