@@ -267,6 +267,14 @@ def test_a_white_wall_at_one_metre_saturates_and_is_said_to():
     assert (raw.planes["n_acc"] == 1).all()
 
 
+def test_an_average_with_a_saturated_image_in_it_is_saturated():
+    camera = replace(ONE, averages=20, frame_rate_hz=2.0, pixel=replace(PIXEL, accumulations=(1,)))
+    near_m = 2 * np.sqrt(1.1099 / 1.5 * 25 / 27)  # window a gets 1.5 V, give or take the noise
+    planes = shoot(wall(near_m, 1.0, camera), camera).planes
+    assert planes["shutter_a"][0, 0] == 1.5
+    assert planes["shutter_b"][0, 0] < 0.2
+
+
 def test_background_that_fills_the_pixel_saturates_it():
     """K-PIX-07: the exposure with the laser off costs charge capacity."""
     dim = replace(CAMERA, pixel=replace(PIXEL, saturation_v=0.1))

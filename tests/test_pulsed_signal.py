@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.signal import correlate as scipy_correlate
@@ -25,6 +25,7 @@ SOFT = PulsedCamera(pulse_rise_s=60e-9, pulse_fall_s=30e-9, shutter_edge_s=65e-9
 NANOSECONDS = st.floats(20, 400).map(lambda x: x * 1e-9)
 
 
+@settings(deadline=None)
 @given(pulse_s=NANOSECONDS, width_s=NANOSECONDS, opens_s=st.floats(-1e-7, 1e-7), delay_s=st.floats(-1e-6, 1e-6))
 def test_an_ideal_window_collects_its_overlap_with_the_pulse(pulse_s, width_s, opens_s, delay_s):
     camera = replace(IDEAL, pulse_width_s=pulse_s)

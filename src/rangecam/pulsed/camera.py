@@ -9,7 +9,7 @@ from rangecam.errors import DataError, UsageError
 from rangecam.geometry import rays
 from rangecam.optics import ambient_on_sensor, irradiance_on_sensor
 from rangecam.pulsed.pixel import read_adaptively, responsivity
-from rangecam.pulsed.settings import PulsedCamera
+from rangecam.pulsed.settings import PulsedCamera, Taps
 from rangecam.pulsed.signal import Window, collected_s, gate_windows, shutter_windows
 from rangecam.scene.view import View
 from rangecam.types import Floats, RawFrame
@@ -41,9 +41,9 @@ def max_frame_rate_hz(camera: PulsedCamera) -> float:
 
 def _pulses(camera: PulsedCamera) -> int:
     """Return the pulses of one image, before averaging."""
-    return (
-        len(camera.shutters) * max(camera.pixel.accumulations) if camera.readout == "shutters" else camera.taps.pulses
-    )
+    if camera.readout == "three_tap":
+        return camera.taps.pulses
+    return len(camera.shutters) * max(camera.pixel.accumulations)
 
 
 def _shutter_planes(
@@ -78,14 +78,21 @@ def _tap_planes(
     for name, window in gate_windows(camera).items():
         dark = taps.black_level_counts + to_counts * ambient_irradiance(seen, camera) * (window[1] - window[0])
         lit = dark + to_counts * laser_exposure(seen, window, -camera.pulse_lead_s, camera)
-        for plane, level, images in (("tap", lit, camera.averages), ("dark", dark, taps.dark_frames)):
-            light = np.maximum(level - taps.black_level_counts, 0.0)
-            sigma = np.sqrt(taps.read_noise_counts**2 + taps.shot_noise_counts2_per_count * light)
-            counts = np.zeros(shape)
-            for _ in range(images):
-                counts += np.minimum(np.round(level + sigma * rng.standard_normal(shape)), taps.saturation_counts)
-            planes[f"{plane}_{name}"] = (counts / images).astype(np.float32)
+        counts = np.zeros(shape)
+        for _ in range(camera.averages):
+            noisy = lit + np.sqrt(_tap_variance(lit, taps)) * rng.standard_normal(shape)
+            counts += np.minimum(np.round(noisy), taps.saturation_counts)
+        dark_sigma = np.sqrt((_tap_variance(dark, taps) + 1 / 12) / taps.dark_frames)
+        averaged = np.minimum(dark + dark_sigma * rng.standard_normal(shape), taps.saturation_counts)
+        planes[f"tap_{name}"] = (counts / camera.averages).astype(np.float32)
+        planes[f"dark_{name}"] = averaged.astype(np.float32)
     return planes
+
+
+def _tap_variance(level: Floats, taps: Taps) -> Floats:
+    light = np.maximum(level - taps.black_level_counts, 0.0)
+    variance: Floats = taps.read_noise_counts**2 + taps.shot_noise_counts2_per_count * light
+    return variance
 
 
 def _look(view: Callable[[float], View], time_s: float, camera: PulsedCamera) -> View:

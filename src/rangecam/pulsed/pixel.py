@@ -76,7 +76,7 @@ def read_adaptively(
     taken at which no shutter of the pixel is saturated (4.1.1.3; K-PIX-10), else the smallest. The accumulated signal
     is read at all of them without destroying it, so that they share one deviate. A pixel that laser and background fill
     in one exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
-    Values are means over `averages` images.
+    Values are means over `averages` images, full scale if one of them is.
     """
     deviates = rng.standard_normal((averages, *single_v.shape))
     full = single_v + ambient_v >= pixel.saturation_v
@@ -88,7 +88,8 @@ def read_adaptively(
         free = (more_v < pixel.saturation_v).all(axis=(0, 1))
         np.copyto(values_v, more_v, where=free)
         np.copyto(chosen, np.uint8(n), where=free)
-    return values_v.mean(axis=0), chosen
+    saturated = (values_v >= pixel.saturation_v).any(axis=0)
+    return np.where(saturated, pixel.saturation_v, values_v.mean(axis=0)), chosen
 
 
 def _read(

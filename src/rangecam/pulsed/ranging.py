@@ -215,17 +215,19 @@ def _gate_quotient(  # type: ignore[no-untyped-def]
         if early:
             whole, variance = n1 + n2 + n3, v1 + v2 + v3
             first = n1 > n3
-            quotient = -n1 / whole if first else n3 / whole
+            inverse = 1 / whole
+            quotient = (-n1 if first else n3) * inverse
             by_1, by_2, by_3 = -quotient - (1 if first else 0), -quotient, (0 if first else 1) - quotient
         else:
             first = False
             whole, variance = n2 + n3 - 2 * n1, v2 + v3 + 4 * v1
-            quotient = (n3 - n1) / whole
+            inverse = 1 / whole
+            quotient = (n3 - n1) * inverse
             by_1, by_2, by_3 = 2 * quotient - 1, -quotient, 1 - quotient
         amplitude[i] = whole
         if whole > 0:
             range_m[i] = zero_m + scale_m * (quotient + (0.0 if first else gate_minus_one))
-            sigma_m[i] = scale_m / whole * np.sqrt(by_1**2 * v1 + by_2**2 * v2 + by_3**2 * v3)
+            sigma_m[i] = scale_m * inverse * np.sqrt(by_1**2 * v1 + by_2**2 * v2 + by_3**2 * v3)
         if max(t1[i], t2[i], t3[i]) >= saturation:
             why[i] = _SATURATED
         elif not (whole > 0 and whole >= threshold and whole * whole >= min_snr2 * variance):
