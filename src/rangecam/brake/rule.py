@@ -1,18 +1,13 @@
-"""When to brake: the stopping distance and the rule of Steinbäck 2016, sections 3.4.1 and 4.5.4."""
+"""When an object in the path demands braking: Steinbäck 2016, sections 3.4.1 and 4.5.4. Numbers in, yes or no out."""
 
 import math
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-import numpy as np
-from numba import njit
-
-from rangecam.collision import CorridorSettings, predict_collisions
+from rangecam.collision import CorridorSettings
 from rangecam.settings import Fraction, NonNegative, Positive, settings
-from rangecam.types import CLASSES, Collisions, Decision, Ego, Floats, Ints, Tracks, TrackStatus
 
 GRAVITY_MPS2 = 9.81
-_TENTATIVE = int(TrackStatus.TENTATIVE)
 
 
 @settings
@@ -94,94 +89,3 @@ def is_object(threat: Threat, settings: DecisionSettings) -> bool:
     min_area_px = (settings.min_object_m / pitch_m) ** 2 if pitch_m > 0 else math.inf
     large = threat.n_pixels > min_area_px or threat.n_pixels > settings.large_object_px
     return large and threat.n_pixels > settings.min_object_px
-
-
-def closing_speed(speed_x_mps: float, sigma_mps: float, ego: Ego, settings: DecisionSettings) -> float:
-    """Return the speed in m/s at which the gap to a track shrinks, 0 where it does not or where that is not certain.
-
-    speed_x_mps, sigma_mps: estimate of the track relative to us. With the own speed known, a track whose estimate
-    agrees with that of a standing object closes at the own speed, which is better known: so the thesis treats all
-    objects. Other than there, one that drives away closes more slowly, one that comes towards us faster.
-    """
-    closing, tolerance = -speed_x_mps, settings.speed_sigmas * sigma_mps
-    if ego.speed_mps is not None and abs(closing - ego.speed_mps) <= tolerance:
-        return ego.speed_mps
-    return closing if closing > tolerance else 0.0
-
-
-def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
-    """Return whether to brake now, for which track, and why (S-DEC-01, S-DEC-02).
-
-    Confirmed tracks count, also while they coast through missed frames, if they are in the path now or will be when
-    they reach us. The nearest that demands braking decides, else the nearest. Where the own speed is unknown it is
-    taken to be the closing speed.
-    """
-    collisions = predict_collisions(tracks, ego, settings.corridor)
-    distance_m = _free_way(tracks, collisions, settings)
-    chosen, brake, threat = -1, False, Threat(math.nan, math.nan, 0.0)
-    for i in distance_m.argsort():
-        if not distance_m[i] < math.inf:
-            break
-        sigma_mps = math.sqrt(tracks.covariance[i, 1, 1])
-        closing = closing_speed(float(tracks.state[i, 1]), sigma_mps, ego, settings)
-        this = Threat(float(distance_m[i]), closing, float(tracks.n_pixels[i]))
-        own_speed = closing if ego.speed_mps is None else abs(ego.speed_mps)
-        brake = RULES[settings.rule](this, own_speed, ego.forward, settings)
-        if brake or chosen < 0:
-            chosen, threat = int(i), this
-        if brake:
-            break
-    if chosen < 0:
-        return Decision(time_s=tracks.time_s, brake=False, reason="no object in the path", collisions=collisions)
-    stopping_m = stopping_distance(threat.closing_speed_mps, settings)
-    return Decision(
-        time_s=tracks.time_s,
-        brake=brake,
-        reason=_reason(tracks, chosen, threat, stopping_m),
-        collisions=collisions,
-        track_id=int(tracks.track_id[chosen]),
-        distance_m=threat.distance_m,
-        closing_speed_mps=threat.closing_speed_mps,
-        stopping_distance_m=stopping_m,
-        needed_deceleration_mps2=needed_deceleration(threat.distance_m, threat.closing_speed_mps, settings),
-        ttc_s=float(collisions.ttc_s[chosen]),
-        ttc_sigma_s=float(collisions.ttc_sigma_s[chosen]),
-        p_collision=float(collisions.p_collision[chosen]),
-    )
-
-
-def _free_way(tracks: Tracks, collisions: Collisions, settings: DecisionSettings) -> Floats:
-    """Return the way in m to the nearest surface of each track (N,), inf for those that do not count."""
-    distance_m = np.empty(len(tracks.status))
-    limits = settings.corridor.width_m, settings.corridor.front_m, settings.min_probability
-    shapes = tracks.near_offset_m, tracks.size_m
-    _free_ways(tracks.status, tracks.state, shapes, collisions.p_collision, limits, distance_m)
-    return distance_m
-
-
-@njit(cache=True, nogil=True)
-def _free_ways(
-    status: Ints,
-    state: Floats,
-    shapes: tuple[Floats, Floats],
-    p_collision: Floats,
-    limits: tuple[float, float, float],
-    distance: Floats,
-) -> None:
-    width, front, min_probability = limits
-    for i in range(status.size):
-        inside = abs(state[i, 3]) <= (width + shapes[1][i, 1]) / 2 and p_collision[i] > 0
-        counts = status[i] != _TENTATIVE and (inside or p_collision[i] >= min_probability)
-        distance[i] = state[i, 0] - shapes[0][i] - front if counts else math.inf
-
-
-def _reason(tracks: Tracks, i: int, threat: Threat, stopping_m: float) -> str:
-    """Return one phrase for people."""
-    name = CLASSES[int(tracks.class_probability[i].argmax())]
-    name = "object" if name == "unknown" else name
-    if threat.closing_speed_mps <= 0:
-        return f"{name} at {threat.distance_m:.1f} m, not closing"
-    return (
-        f"{name} at {threat.distance_m:.1f} m closing at {threat.closing_speed_mps:.1f} m/s: "
-        f"stopping needs {stopping_m:.1f} m"
-    )

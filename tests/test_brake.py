@@ -1,0 +1,327 @@
+"""The brake rule: stopping distances of the thesis, its truth table, and what the decision makes of tracks."""
+
+import dataclasses
+import itertools
+import math
+import typing
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rangecam.brake import DecisionSettings, decide
+from rangecam.brake.decision import closing_speed
+from rangecam.brake.rule import (
+    RULES,
+    Threat,
+    full_deceleration,
+    is_object,
+    must_brake,
+    needed_deceleration,
+    stopping_distance,
+)
+from rangecam.collision import CorridorSettings
+from rangecam.tracking import TrackingSettings, update_tracks
+from rangecam.types import Decision, Ego, Segments, Tracks, TrackStatus
+
+MODEL_CAR = DecisionSettings()
+
+
+def tracks_of(*rows: dict[str, float]) -> Tracks:
+    """Confirmed tracks: x, vx, y, vy and the like of each; what is not named is that of a box seen well."""
+    n = len(rows)
+    usual = {"x": 5.0, "vx": 0.0, "y": 0.0, "vy": 0.0, "sigma_v": 0.05, "width": 0.4, "near": 0.0, "pixels": 200.0}
+    usual |= {"status": float(TrackStatus.CONFIRMED), "depth": 0.3, "class": 0.0}
+    column = {key: np.array([row.get(key, value) for row in rows]) for key, value in usual.items()}
+    state, covariance = np.zeros((n, 9)), np.zeros((n, 9, 9))
+    for place, key in ((0, "x"), (1, "vx"), (3, "y"), (4, "vy")):
+        state[:, place] = column[key]
+    for place in (0, 3, 6):
+        covariance[:, place, place] = 1e-4
+        covariance[:, place + 1, place + 1] = column["sigma_v"] ** 2
+    return Tracks(
+        track_id=np.arange(1, n + 1),
+        status=column["status"].astype(int),
+        state=state,
+        covariance=covariance,
+        age=np.full(n, 9),
+        hits=np.full(n, 9),
+        misses=np.zeros(n, int),
+        size_m=np.column_stack([column["depth"], column["width"], np.full(n, 0.5)]),
+        near_offset_m=column["near"],
+        n_pixels=column["pixels"],
+        segment=np.arange(1, n + 1),
+        class_probability=np.eye(4)[column["class"].astype(int)],
+        nis=np.ones(n),
+        time_s=2.5,
+        next_id=n + 1,
+    )
+
+
+def decided(*rows: dict[str, float], ego: Ego | None = None, **settings: typing.Any) -> Decision:
+    return decide(tracks_of(*rows), ego or Ego(), dataclasses.replace(MODEL_CAR, **settings))
+
+
+# -- stopping ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kmh", "way_m"), [(10, 0.562), (20, 2.247), (30, 5.056), (50, 14.046)])
+def test_braking_distances_of_the_thesis_on_asphalt(kmh: float, way_m: float) -> None:
+    settings = DecisionSettings(friction=0.7, reaction_time_s=0.0)
+    assert stopping_distance(kmh / 3.6, settings) == pytest.approx(way_m, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("speed", "way_m"), [(1.0, 0.403), (2.0, 1.146), (3.0, 2.229), (4.0, 3.652), (20 / 3.6, 6.540)]
+)
+def test_stopping_distances_of_the_model_car(speed: float, way_m: float) -> None:
+    assert stopping_distance(speed, MODEL_CAR) == pytest.approx(way_m, abs=6e-4)
+
+
+def test_the_reaction_takes_four_frames_and_the_brakes() -> None:
+    assert MODEL_CAR.reaction_time_s == pytest.approx(0.2333, abs=1e-4)
+
+
+def test_the_speed_from_which_braking_takes_longer_than_a_human_reaction() -> None:
+    settings = DecisionSettings(friction=0.7, reaction_time_s=1.5)
+    speed = 74.2 / 3.6
+    assert stopping_distance(speed, settings) == pytest.approx(2 * speed * 1.5, rel=1e-3)
+
+
+def test_a_deceleration_replaces_friction() -> None:
+    settings = DecisionSettings(deceleration_mps2=5.0, friction=0.1)
+    assert full_deceleration(settings) == 5.0
+    assert full_deceleration(MODEL_CAR) == pytest.approx(0.3 * 9.81)
+    assert stopping_distance(10.0, settings) == pytest.approx(10 * settings.reaction_time_s + 10.0)
+
+
+@given(st.floats(0.1, 20.0))
+def test_the_needed_deceleration_at_the_stopping_distance_is_full_braking(speed: float) -> None:
+    way_m = stopping_distance(speed, MODEL_CAR)
+    assert needed_deceleration(way_m, speed, MODEL_CAR) == pytest.approx(full_deceleration(MODEL_CAR))
+
+
+def test_within_the_reaction_no_deceleration_is_enough_and_without_closing_none_is_needed() -> None:
+    assert needed_deceleration(0.2, 1.0, MODEL_CAR) == math.inf
+    assert needed_deceleration(1.0 * MODEL_CAR.reaction_time_s, 1.0, MODEL_CAR) == math.inf
+    assert needed_deceleration(0.2, 0.0, MODEL_CAR) == 0.0
+    assert needed_deceleration(-1.0, -1.0, MODEL_CAR) == 0.0
+
+
+# -- the rule ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("near", [True, False])
+@pytest.mark.parametrize("over_min_area", [True, False])
+@pytest.mark.parametrize("over_large", [True, False])
+@pytest.mark.parametrize("over_small", [True, False])
+@pytest.mark.parametrize("fast", [True, False])
+@pytest.mark.parametrize("forward", [True, False])
+def test_the_truth_table_of_algorithm_4_4(
+    near: bool, over_min_area: bool, over_large: bool, over_small: bool, fast: bool, forward: bool
+) -> None:
+    pixels = 100.0
+    settings = dataclasses.replace(
+        MODEL_CAR,
+        min_object_m=0.1 if over_min_area else 10.0,  # at 2 m: 33 pixels, or 330,000
+        large_object_px=99.0 if over_large else 101.0,
+        min_object_px=99.0 if over_small else 101.0,
+    )
+    way_m = 1.5 * stopping_distance(3.0, settings) + (-1e-9 if near else 1e-9)
+    demanded = must_brake(Threat(way_m, 3.0, pixels), 0.51 if fast else 0.5, forward, settings)
+    assert demanded == (near and (over_min_area or over_large) and over_small and fast and forward)
+
+
+@pytest.mark.parametrize(
+    ("distance", "pixels"), [(0.3, 1459.0), (0.5, 525.2), (1.0, 131.3), (2.0, 32.8), (3.0, 14.6), (4.0, 8.2)]
+)
+def test_the_least_area_is_that_of_a_square_of_ten_centimetres(distance: float, pixels: float) -> None:
+    settings = dataclasses.replace(MODEL_CAR, min_object_px=0.0, large_object_px=1e9)
+    assert is_object(Threat(distance, 1.0, pixels + 0.06), settings)
+    assert not is_object(Threat(distance, 1.0, pixels - 0.06), settings)
+
+
+def test_at_contact_only_a_large_object_is_one() -> None:
+    assert is_object(Threat(0.0, 1.0, 751.0), MODEL_CAR)
+    assert not is_object(Threat(0.0, 1.0, 749.0), MODEL_CAR)
+
+
+def test_the_margin_stretches_the_stopping_distance() -> None:
+    threat = Threat(1.2 * stopping_distance(3.0, MODEL_CAR), 3.0, 500.0)
+    assert must_brake(threat, 3.0, True, MODEL_CAR)
+    assert not must_brake(threat, 3.0, True, dataclasses.replace(MODEL_CAR, margin=1.1))
+
+
+@pytest.mark.parametrize("name", sorted(RULES))
+def test_no_rule_brakes_for_what_is_far_or_not_closing(name: str) -> None:
+    assert not RULES[name](Threat(1e3, 3.0, 500.0), 3.0, True, MODEL_CAR)
+    assert not RULES[name](Threat(1.0, 0.0, 500.0), 3.0, True, MODEL_CAR)
+
+
+def test_every_rule_can_be_chosen_by_name() -> None:
+    assert set(typing.get_args(typing.get_type_hints(DecisionSettings)["rule"])) == set(RULES)
+
+
+# -- which speed counts -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("vx", "sigma", "own", "closing"),
+    [
+        (-3.0, 0.1, None, 3.0),
+        (-3.0, 1.6, None, 0.0),  # may as well be at rest
+        (2.0, 0.1, None, 0.0),
+        (-2.9, 0.1, 3.0, 3.0),  # a standing object: the own speed is known better
+        (0.0, 5.0, 3.0, 3.0),  # a new track: nothing speaks against a standing object
+        (0.0, 0.1, 3.0, 0.0),  # drives ahead of us
+        (-1.0, 0.1, 3.0, 1.0),  # drives ahead more slowly
+        (-6.0, 0.1, 3.0, 6.0),  # comes towards us
+        (1.0, 0.1, 3.0, 0.0),
+    ],
+)
+def test_the_closing_speed(vx: float, sigma: float, own: float | None, closing: float) -> None:
+    assert closing_speed(vx, sigma, own, MODEL_CAR) == closing
+
+
+def test_how_sure_a_speed_must_be_can_be_set() -> None:
+    assert closing_speed(-3.0, 1.6, None, dataclasses.replace(MODEL_CAR, speed_sigmas=1.0)) == 3.0
+
+
+# -- the decision -----------------------------------------------------------------------------------------------------
+
+
+def test_a_box_in_the_path_is_braked_for_and_the_decision_says_why() -> None:
+    decision = decided({"x": 2.5, "vx": -3.0, "near": 0.2, "class": 3.0}, ego=Ego(speed_mps=3.0))
+    assert decision.brake
+    assert decision.reason == "obstacle at 2.3 m closing at 3.0 m/s: stopping needs 2.2 m"
+    assert (decision.track_id, decision.time_s) == (1, 2.5)
+    assert decision.distance_m == pytest.approx(2.3)
+    assert decision.closing_speed_mps == 3.0
+    assert decision.stopping_distance_m == pytest.approx(stopping_distance(3.0, MODEL_CAR))
+    assert decision.needed_deceleration_mps2 == pytest.approx(9 / 2 / (2.3 - 3 * MODEL_CAR.reaction_time_s))
+    assert decision.ttc_s == pytest.approx(2.3 / 3)
+    assert decision.ttc_sigma_s > 0
+    assert decision.p_collision > 0.9
+    assert len(decision.collisions) == 1
+
+
+def test_where_nobody_measures_the_own_speed_the_closing_speed_decides() -> None:
+    row = {"x": 2.3, "vx": -3.0}
+    for ego in (Ego(), Ego(speed_mps=math.nan)):
+        assert decided(row, ego=ego).brake
+    assert not decided({"x": 2.3, "vx": -0.4}).brake
+    assert decided({"x": 0.1, "vx": -0.6, "pixels": 800.0}).brake
+    assert not decided({"x": 0.1, "vx": -0.5, "pixels": 800.0}).brake  # slow
+
+
+@pytest.mark.parametrize(
+    ("row", "ego", "ending"),
+    [
+        ({"x": 2.3, "vx": -3.0, "pixels": 9.0}, Ego(speed_mps=3.0), ", but it is seen with 9 pixels only"),
+        ({"x": 2.3, "vx": -3.0}, Ego(speed_mps=3.0, forward=False), ", but we drive backwards"),
+        ({"x": 0.2, "vx": -1.0, "pixels": 800.0}, Ego(speed_mps=0.3), ", but we are slow"),
+        ({"x": 8.0, "vx": -3.0}, Ego(speed_mps=3.0), "stopping needs 2.2 m"),
+        ({"x": 2.3, "vx": 0.0}, Ego(speed_mps=3.0), "object at 2.3 m, not closing"),
+    ],
+)
+def test_what_speaks_against_braking_is_said(row: dict[str, float], ego: Ego, ending: str) -> None:
+    decision = decided(row, ego=ego)
+    assert not decision.brake
+    assert decision.track_id == 1
+    assert decision.reason.endswith(ending)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        {"x": 2.3, "vx": -3.0, "y": 0.6},  # beside the path
+        {"x": 2.3, "vx": -3.0, "status": float(TrackStatus.TENTATIVE)},
+        {"x": -0.4, "vx": -3.0},  # behind us
+    ],
+)
+def test_what_is_not_in_the_path_does_not_count(row: dict[str, float]) -> None:
+    decision = decided(row, ego=Ego(speed_mps=3.0))
+    assert (decision.brake, decision.track_id, decision.reason) == (False, 0, "no object in the path")
+    assert math.isnan(decision.distance_m)
+    assert len(decision.collisions) == 1
+
+
+def test_without_tracks_the_path_is_free() -> None:
+    decision = decide(Tracks.empty(), Ego(), MODEL_CAR)
+    assert (decision.brake, decision.reason) == (False, "no object in the path")
+
+
+def test_a_confirmed_track_counts_while_it_coasts() -> None:
+    assert decided({"x": 2.3, "vx": -3.0, "status": float(TrackStatus.COASTING)}).brake
+
+
+def test_one_who_walks_into_the_path_counts_before_he_is_in_it() -> None:
+    walker = {"x": 3.0, "vx": -3.0, "y": -1.2, "vy": 1.2, "sigma_v": 0.1}
+    assert decided(walker, ego=Ego(speed_mps=3.0)).brake
+    assert not decided(walker, ego=Ego(speed_mps=3.0), min_probability=1.0).brake
+    assert not decided({**walker, "vy": 0.0}, ego=Ego(speed_mps=3.0)).brake
+
+
+def test_the_corridor_can_be_widened_and_moved_to_the_bumper() -> None:
+    wide, bumper = CorridorSettings(width_m=1.2), CorridorSettings(front_m=1.0)
+    assert decided({"x": 2.3, "vx": -3.0, "y": 0.6}, corridor=wide).brake
+    assert decided({"x": 4.2, "vx": -3.0}, corridor=bumper).distance_m == pytest.approx(3.2)
+    assert decided({"x": 4.2, "vx": -3.0}, corridor=bumper).brake
+
+
+def test_the_nearest_that_demands_braking_decides_else_the_nearest() -> None:
+    sign, box, wall = {"x": 1.0, "vx": -3.0, "pixels": 8.0}, {"x": 2.3, "vx": -3.0}, {"x": 3.0, "vx": -3.0}
+    for rows in itertools.permutations([sign, box, wall]):
+        decision = decided(*rows)
+        assert decision.brake
+        assert decision.distance_m == pytest.approx(2.3)
+    assert decided({"x": 9.0, "vx": -3.0}, {"x": 8.0, "vx": -3.0}).distance_m == pytest.approx(8.0)
+
+
+def test_contact_is_braked_for_at_any_speed_above_the_least() -> None:
+    decision = decided({"x": 0.0, "near": 0.1, "vx": -0.6, "pixels": 800.0})
+    assert decision.brake
+    assert decision.needed_deceleration_mps2 == math.inf
+
+
+@pytest.mark.parametrize("confirm_hits", [1, 2])
+def test_the_velocity_of_a_track_of_one_frame_cannot_brake(confirm_hits: int) -> None:
+    position = np.array([[1.0, 0.0, 0.3]])
+    segments = Segments(
+        label=np.array([1]),
+        position_m=position,
+        covariance_m2=1e-4 * np.eye(3)[None],
+        size_m=np.full((1, 3), 0.5),
+        near_m=position[:, 0] - 0.2,
+        n_pixels=np.array([900]),
+        box=np.zeros((1, 4), int),
+        range_m=position[:, 0],
+        sigma_range_m=np.array([0.01]),
+        amplitude=np.ones(1),
+    )
+    tracks = update_tracks(Tracks.empty(), segments, 0.0, TrackingSettings(confirm_hits=confirm_hits))
+    assert not decide(tracks, Ego(), MODEL_CAR).brake
+
+
+@given(
+    st.floats(0.05, 10),
+    st.floats(0.0, 8.0),
+    st.floats(-1, 1),
+    st.floats(0, 2000),
+)
+def test_without_knowledge_of_the_own_speed_a_nearer_object_is_never_less_dangerous(
+    x: float, speed: float, y: float, pixels: float
+) -> None:
+    row = {"x": x, "vx": -speed, "y": y, "pixels": pixels}
+    settings = {"min_object_m": 1e-6}
+    if decided(row, **settings).brake:
+        assert decided({**row, "x": 0.8 * x}, **settings).brake
+
+
+def test_inputs_are_not_modified() -> None:
+    tracks = tracks_of({"x": 2.3, "vx": -3.0}, {"x": 1.0})
+    before = {k: v.copy() for k, v in vars(tracks).items() if isinstance(v, np.ndarray)}
+    decide(tracks, Ego(speed_mps=3.0), MODEL_CAR)
+    for name, values in before.items():
+        np.testing.assert_array_equal(getattr(tracks, name), values)
