@@ -7,7 +7,7 @@ the peers are optional (extra `bench`).
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -18,163 +18,243 @@ from rangecam.geometry import position, rays, rotation
 from rangecam.types import Floats, Image, Segments
 
 Planes = Mapping[str, Image]
-MARKER_M = 1e4
+Cleaned = tuple[Floats, Floats, Any]
+"""Range, sigma and mask (H, W)."""
+MARKER = 1e4
 """Stands for an invalid range in the peers, which know no validity."""
 
 
-def opencv_cw_range(config: Config) -> Callable[[Planes], tuple[Floats, Any]]:
-    """Return a function of the four phase images: cleaned range and mask, by OpenCV on whole images."""
+def opencv_cw_range(config: Config) -> Callable[[Planes], Cleaned]:
+    """Return a function of the four phase images: cleaned range, sigma and mask, by OpenCV on whole images."""
     import cv2
 
     cv2.setNumThreads(1)
-    camera, c = config.camera, config.clean
+    camera = config.camera
     assert camera.kind == "cw"
-    metres_per_rad = np.float32(camera.speed_of_light_mps / (4 * math.pi * camera.modulation_hz))
+    metres_per_rad = camera.speed_of_light_mps / (4 * math.pi * camera.modulation_hz)
+    floor_variance = camera.read_noise_lsb**2 + camera.quantisation_lsb**2 / 12
+    shot = camera.shot_noise_lsb2_per_lsb / camera.demodulation_contrast
+    low, high = camera.lower_limit_lsb or -MARKER, camera.full_scale_lsb or MARKER
 
-    def ranging_and_cleaning(planes: Planes) -> tuple[Floats, Any]:
+    def range_of(planes: Planes) -> Cleaned:
         c0, c90, c180, c270 = (planes[f"phase_{step}"] for step in (0, 90, 180, 270))
         real = cv2.subtract(c0, c180, dtype=cv2.CV_32F)
         imaginary = cv2.subtract(c270, c90, dtype=cv2.CV_32F)
         amplitude, phase = cv2.cartToPolar(real, imaginary)
         range_m = cv2.multiply(phase, metres_per_rad)
         amplitude = cv2.multiply(amplitude, 0.5)
-        weakest, per_square, floor_m, near, far = _limits(config, range_m.shape)
-        mask = cv2.compare(amplitude, weakest, cv2.CMP_GE)
-        light = cv2.multiply(amplitude, cv2.multiply(range_m, range_m))
-        mask = cv2.bitwise_and(mask, cv2.compare(light, per_square, cv2.CMP_GE))
-        padded = cv2.copyMakeBorder(range_m, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=-MARKER_M)
-        height, width = range_m.shape
-        agree = np.zeros(range_m.shape, np.uint8)
-        for i in range(3):
-            for j in range(3):
-                if (i, j) != (1, 1):
-                    difference = cv2.absdiff(range_m, padded[i : i + height, j : j + width])
-                    near_enough = cv2.compare(difference, c.neighbour_tolerance_m, cv2.CMP_LE)
-                    agree = cv2.add(agree, cv2.min(near_enough, 1))
-        mask = cv2.bitwise_and(mask, cv2.compare(agree, c.min_neighbours, cv2.CMP_GE))
-        range_m[mask == 0] = MARKER_M
-        range_m = cv2.medianBlur(range_m, 3)
-        for limit, comparison in ((floor_m, cv2.CMP_LE), (near, cv2.CMP_GE), (far, cv2.CMP_LE)):
-            mask = cv2.bitwise_and(mask, cv2.compare(range_m, limit, comparison))
-        return range_m, mask
+        variance = cv2.add(cv2.multiply(amplitude, shot), floor_variance)
+        sigma = cv2.divide(cv2.sqrt(variance), amplitude, scale=metres_per_rad / math.sqrt(2))
+        mask = cv2.compare(sigma, metres_per_rad * camera.max_phase_sigma_rad, cv2.CMP_LE)
+        brightest = cv2.max(cv2.max(c0, c90), cv2.max(c180, c270))
+        darkest = cv2.min(cv2.min(c0, c90), cv2.min(c180, c270))
+        mask = cv2.bitwise_and(mask, cv2.compare(brightest, high, cv2.CMP_LT))
+        mask = cv2.bitwise_and(mask, cv2.compare(darkest, low, cv2.CMP_GT))
+        return _cleaned(cv2, config, range_m, sigma, amplitude, mask)
 
-    return ranging_and_cleaning
+    return range_of
 
 
-def opencv_cw_chain(config: Config) -> Callable[[Planes], Any]:
-    """Return a function of the four phase images: histogram segments with their boxes and the nearest one.
-
-    The peer has no sigma, no covariance and no tracks.
-    """
+def opencv_cw_chain(config: Config) -> Callable[[Planes], float]:
+    """Return a function of the four phase images: histogram segments, tracked, and the free way to the nearest."""
     import cv2
 
-    clean = opencv_cw_range(config)
-    bin_m, top_m = 0.05, 10.0
+    clean, track = opencv_cw_range(config), _Tracker(1 / config.camera.frame_rate_hz)
+    bin_m, top_m = config.segments.bin_width_m, 10.0
 
-    def chain(planes: Planes) -> Any:
-        range_m, mask = clean(planes)
+    def chain(planes: Planes) -> float:
+        range_m, sigma, mask = clean(planes)
         points = _points(cv2, range_m, config)
-        histogram = cv2.calcHist([range_m], [0], mask, [int(top_m / bin_m)], [0, top_m]).ravel()
-        smooth = np.convolve(histogram, np.ones(3) / 3, "same")
-        slope = np.diff(smooth)
+        depth = cv2.extractChannel(points, 0)
+        histogram = cv2.calcHist([depth], [0], mask, [int(top_m / bin_m)], [0, top_m]).ravel()
+        slope = np.diff(np.convolve(histogram, np.ones(3) / 3, "same"))
         minima = np.flatnonzero((slope[:-1] < 0) & (slope[1:] >= 0)) + 1
-        borders = np.concatenate([[0.0], (minima + 0.5) * bin_m, [top_m]]).astype(np.float32)
-        found = []
-        for near, far in pairwise(borders):
-            part = cv2.bitwise_and(cv2.inRange(range_m, float(near), float(far)), mask)
-            if cv2.countNonZero(part) >= 10:
-                found.append((cv2.mean(points, part)[:3], cv2.boundingRect(part)))
-        return min((centre[0] for centre, _ in found), default=math.inf)
+        borders = [0.0, *((minima + 0.5) * bin_m).tolist(), top_m]
+        parts = [cv2.bitwise_and(cv2.inRange(depth, near, far), mask) for near, far in pairwise(borders)]
+        return track(_measured(cv2, points, sigma, parts, config.segments.min_pixels))
 
     return chain
 
 
-def opencv_pulsed_chain(config: Config) -> Callable[[Planes], Any]:
-    """Return a function of two shutter images: MDSI3, median, floor, flood-filled segments, nearest one."""
+def opencv_pulsed_chain(config: Config) -> Callable[[Planes], float]:
+    """Return a function of two shutter images: MDSI3, cleaned, flood-filled segments, tracked, nearest one."""
     import cv2
 
     cv2.setNumThreads(1)
-    camera, c = config.camera, config.clean
+    camera = config.camera
     assert camera.kind == "pulsed"
-    half_c_pulse = np.float32(camera.speed_of_light_mps * camera.pulse_width_s / 2)
+    half_c_pulse = camera.speed_of_light_mps * camera.pulse_width_s / 2
+    grow, track = _flood_filled(config), _Tracker(1 / camera.frame_rate_hz)
 
-    def chain(planes: Planes) -> Any:
-        a, b = planes["shutter_a"], planes["shutter_b"]
+    def chain(planes: Planes) -> float:
+        a, b, n_acc = planes["shutter_a"], planes["shutter_b"], planes["n_acc"]
         total = cv2.add(a, b)
         range_m = cv2.multiply(cv2.divide(b, total), half_c_pulse)
-        mask = cv2.compare(total, 0.005, cv2.CMP_GE)
+        damped = (1 - np.exp(-0.0153 * n_acc)) / (1 - math.exp(-0.0153)) / n_acc  # König 2008, eq 4.17
+        noise = (np.sqrt(n_acc * 0.379e-3**2 + 0.442e-3**2) * damped).astype(np.float32)  # eq 4.21
+        sigma = cv2.divide(cv2.multiply(cv2.magnitude(a, b), noise), cv2.multiply(total, total), scale=half_c_pulse)
+        mask = cv2.compare(total, cv2.multiply(noise, 5.0), cv2.CMP_GE)
         mask = cv2.bitwise_and(mask, cv2.compare(cv2.max(a, b), 1.5, cv2.CMP_LT))
-        range_m[mask == 0] = MARKER_M
-        if c.median != "off":
-            range_m = cv2.medianBlur(range_m, 3)
-        _, _, floor_m, near, far = _limits(config, range_m.shape)
-        for limit, comparison in ((floor_m, cv2.CMP_LE), (near, cv2.CMP_GE), (far, cv2.CMP_LE)):
-            mask = cv2.bitwise_and(mask, cv2.compare(range_m, limit, comparison))
+        range_m, sigma, mask = _cleaned(cv2, config, range_m, sigma, total, mask)
         points = _points(cv2, range_m, config)
-        blocked = cv2.copyMakeBorder(cv2.bitwise_not(mask), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
-        found = []
-        inside = blocked[1:-1, 1:-1]
-        label = 2
-        for row, column in np.argwhere(mask):
-            if inside[row, column] == 0:
-                fill = 8 | (label << 8) | cv2.FLOODFILL_MASK_ONLY
-                count, _, _, box = cv2.floodFill(range_m, blocked, (int(column), int(row)), 0, 0.5, 0.5, fill)
-                if count >= 3:
-                    found.append((cv2.mean(points, cv2.compare(inside, label, cv2.CMP_EQ))[:3], box))
-                label = label + 1 if label < 254 else 2
-        return min((centre[0] for centre, _ in found), default=math.inf)
+        inside = grow(range_m, mask)
+        parts = [cv2.compare(inside, label, cv2.CMP_EQ) for label in range(2, int(inside.max()) + 1)]
+        return track(_measured(cv2, points, sigma, parts, config.segments.min_pixels))
 
     return chain
 
 
-def opencv_segments(config: Config) -> Callable[[Floats, Image], Any]:
-    """Return a function of range and mask (H, W): regions grown by flood fill from each free pixel."""
-    import cv2
+def skimage_segments(config: Config) -> Callable[[Floats, Image], Image]:
+    """Return a function of range and valid (H, W): regions grown by scikit-image's flood from each free pixel."""
+    from skimage.segmentation import flood
 
-    cv2.setNumThreads(1)
+    step = config.segments.growing_threshold_m
 
     def grow(range_m: Floats, valid: Image) -> Image:
-        blocked = np.pad((~valid).astype(np.uint8), 1, constant_values=1)
-        inside = blocked[1:-1, 1:-1]
+        ranges = np.where(valid, range_m, MARKER)
+        labels = np.zeros(valid.shape, np.int32)
+        label = 0
+        while True:
+            free = valid & (labels == 0)
+            seed = divmod(int(np.argmax(free)), valid.shape[1])
+            if not free[seed]:
+                return labels
+            label += 1
+            labels[flood(ranges, seed, connectivity=2, tolerance=step) & free] = label
+
+    return grow
+
+
+def _flood_filled(config: Config) -> Callable[[Floats, Image], Image]:
+    """Return a function of range and mask (H, W): regions grown by flood fill, labelled from 2."""
+    import cv2
+
+    step = config.segments.growing_threshold_m
+
+    def grow(range_m: Floats, mask: Image) -> Image:
+        blocked: Image = cv2.copyMakeBorder(cv2.compare(mask, 0, cv2.CMP_EQ), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
+        inside: Image = blocked[1:-1, 1:-1]
+        inside[inside == 255] = 1
         label = 2
-        for row, column in np.argwhere(valid):
-            if inside[row, column] == 0:
-                fill = 8 | (label << 8) | cv2.FLOODFILL_MASK_ONLY
-                cv2.floodFill(range_m, blocked, (int(column), int(row)), 0, 0.1, 0.1, fill)
-                label = label + 1 if label < 254 else 2
+        while label < 255:
+            free = int(np.argmin(inside))
+            row, column = divmod(free, inside.shape[1])
+            if inside[row, column] != 0:
+                break
+            fill = 8 | (label << 8) | cv2.FLOODFILL_MASK_ONLY
+            cv2.floodFill(range_m, blocked, (column, row), 0, step, step, fill)
+            label += 1
+        inside[inside == 1] = 0
         return inside
 
     return grow
 
 
-def filterpy_tracker(segments: Segments, dt_s: float) -> Callable[[], Any]:
+def filterpy_tracker(segments: Segments, dt_s: float) -> Callable[[], float]:
     """Return a step of as many nine-state Kalman filters as there are segments: predict, gate, assign, update."""
-    from filterpy.kalman import KalmanFilter
-    from scipy.optimize import linear_sum_assignment
+    track = _Tracker(dt_s)
+    found = [(s.position_m, s.covariance_m2) for s in segments]
+    track(found)
+    return partial(track, found)
 
-    transition = np.kron(np.eye(3), [[1, dt_s, dt_s**2 / 2], [0, 1, dt_s], [0, 0, 1]])
-    gain = np.kron(np.eye(3), np.array([[dt_s**2 / 2], [dt_s], [1]]))
-    filters = []
-    for segment in segments:
-        kalman = KalmanFilter(dim_x=9, dim_z=3)
-        kalman.F, kalman.Q, kalman.P = transition, gain @ gain.T, np.eye(9)
-        kalman.H = np.kron(np.eye(3), [[1, 0, 0]])
-        kalman.x[[0, 3, 6], 0] = segment.position_m
-        filters.append(kalman)
 
-    def step() -> Any:
-        for kalman in filters:
+class _Tracker:
+    """Nine-state Kalman filters of FilterPy, SciPy's assignment, and the free way to the nearest object."""
+
+    def __init__(self, dt_s: float) -> None:
+        from filterpy.kalman import KalmanFilter
+        from scipy.optimize import linear_sum_assignment
+
+        self._new, self._assign, self._filters = KalmanFilter, linear_sum_assignment, list[Any]()
+        self._transition = np.kron(np.eye(3), [[1, dt_s, dt_s**2 / 2], [0, 1, dt_s], [0, 0, 1]])
+        gain = np.kron(np.eye(3), np.array([[dt_s**2 / 2], [dt_s], [1]]))
+        self._noise = gain @ gain.T
+
+    def __call__(self, found: list[tuple[Floats, Floats]]) -> float:
+        for kalman in self._filters:
             kalman.predict()
-        cost = np.empty((len(filters), len(segments)))
-        for i, kalman in enumerate(filters):
-            innovation = segments.position_m - (kalman.H @ kalman.x).T
-            inverse = np.linalg.inv(kalman.H @ kalman.P @ kalman.H.T + segments.covariance_m2[i])
-            cost[i] = np.einsum("ni,ij,nj->n", innovation, inverse, innovation)
+        cost = self._distances(found)
         cost[cost > 16.27] = 1e6
-        for row, column in zip(*linear_sum_assignment(cost), strict=True):
-            filters[row].update(segments.position_m[column], R=segments.covariance_m2[column])
+        rows, columns = self._assign(cost)
+        taken = set()
+        for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+            if cost[i, j] < 1e6:
+                self._filters[i].update(found[j][0], R=found[j][1])
+                taken.add(j)
+        for j in set(range(len(found))) - taken:
+            if len(self._filters) < 20:
+                self._filters.append(self._born(*found[j]))
+        return min((float(kalman.x[0, 0]) for kalman in self._filters), default=math.inf)
 
-    return step
+    def _distances(self, found: list[tuple[Floats, Floats]]) -> Floats:
+        """Return the squared Mahalanobis distance of every filter and measurement, on whole arrays."""
+        if not (self._filters and found):
+            return np.empty((len(self._filters), len(found)))
+        expected = np.array([kalman.x[::3, 0] for kalman in self._filters])
+        spread = np.array([kalman.P[::3, ::3] for kalman in self._filters])
+        innovation = np.array([place for place, _ in found])[None] - expected[:, None]
+        scatter = spread[:, None] + np.array([covariance for _, covariance in found])[None]
+        squared: Floats = np.einsum("ijk,ijk->ij", innovation, np.linalg.solve(scatter, innovation[..., None])[..., 0])
+        return squared
+
+    def _born(self, place: Floats, covariance: Floats) -> Any:
+        kalman = self._new(dim_x=9, dim_z=3)
+        kalman.F, kalman.Q, kalman.P = self._transition, self._noise, np.eye(9)
+        kalman.H = np.kron(np.eye(3), [[1, 0, 0]])
+        kalman.x[[0, 3, 6], 0] = place
+        return kalman
+
+
+def _cleaned(cv2: Any, config: Config, range_m: Floats, sigma: Floats, amplitude: Floats, mask: Any) -> Cleaned:
+    """Thresholds, common neighbours, median, floor and area of interest, sigma and mask kept.
+
+    OpenCV has no median that knows of invalid pixels: the mean of two, with the invalid ones far and near, is the best
+    that it offers. The sigma of a median of n is taken as 1.25 sigma / sqrt(n).
+    """
+    c = config.clean
+    weakest, per_square, floor_m, near, far = _limits(config, (range_m.shape[0], range_m.shape[1]))
+    mask = cv2.bitwise_and(mask, cv2.compare(amplitude, weakest, cv2.CMP_GE))
+    light = cv2.multiply(amplitude, cv2.multiply(range_m, range_m))
+    mask = cv2.bitwise_and(mask, cv2.compare(light, per_square, cv2.CMP_GE))
+    reach = cv2.add(cv2.multiply(sigma, c.neighbour_tolerance_sigmas / math.sqrt(2)), c.neighbour_tolerance_m / 2)
+    outside = cv2.bitwise_not(mask)
+    range_m[outside > 0] = MARKER
+    ranges = cv2.copyMakeBorder(range_m, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=MARKER)
+    reaches = cv2.copyMakeBorder(reach, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0.0)
+    height, width = range_m.shape
+    agree = np.zeros((height, width), np.uint8)
+    for i in range(3):
+        for j in range(3):
+            if (i, j) != (1, 1):
+                difference = cv2.absdiff(range_m, ranges[i : i + height, j : j + width])
+                allowed = cv2.add(reach, reaches[i : i + height, j : j + width])
+                agree = cv2.add(agree, cv2.bitwise_and(cv2.compare(difference, allowed, cv2.CMP_LE), 1))
+    mask = cv2.bitwise_and(mask, cv2.compare(agree, c.min_neighbours, cv2.CMP_GE))
+    if c.median != "off":
+        outside = cv2.bitwise_not(mask) > 0
+        range_m[outside] = MARKER
+        upper = cv2.medianBlur(range_m, 3)
+        range_m[outside] = -MARKER
+        range_m = cv2.addWeighted(upper, 0.5, cv2.medianBlur(range_m, 3), 0.5, 0.0)
+        number = cv2.boxFilter(cv2.min(mask, 1), cv2.CV_32F, (3, 3), normalize=False)
+        sigma = cv2.divide(sigma, cv2.sqrt(number), scale=1.25)
+    top = cv2.add(range_m, cv2.multiply(sigma, c.floor_margin_sigmas))
+    mask = cv2.bitwise_and(mask, cv2.compare(top, floor_m, cv2.CMP_LE))
+    mask = cv2.bitwise_and(mask, cv2.compare(range_m, near, cv2.CMP_GE))
+    return range_m, sigma, cv2.bitwise_and(mask, cv2.compare(range_m, far, cv2.CMP_LE))
+
+
+def _measured(cv2: Any, points: Any, sigma: Floats, parts: list[Any], min_pixels: int) -> list[tuple[Floats, Floats]]:
+    """Return position and covariance of each part of the image that is large enough; its box and extent as well."""
+    found = []
+    for part in parts:
+        number = cv2.countNonZero(part)
+        if number >= min_pixels:
+            centre, spread = cv2.meanStdDev(points, mask=part)
+            cv2.boundingRect(part)
+            noise = cv2.mean(sigma, part)[0] ** 2 / number
+            found.append((centre[:, 0], np.diag(noise + (0.1 * spread[:, 0]) ** 2 + 1e-4)))
+    return found
 
 
 @lru_cache(maxsize=8)

@@ -23,32 +23,31 @@ class Row:
 
 
 def race(work: str, ours: Callable[[], Any], peer: str, theirs: Callable[[], Any] | None, seconds: float) -> Row:
-    """Run both in turn for about `seconds` and return the medians of this thread's processor time.
+    """Run blocks of both in turn for about `seconds` and return the medians of this thread's processor time.
 
-    Processor time of the thread, so that other work on the machine does not count; both see the same slow moments.
+    Processor time of the thread, so that other work on the machine does not count; in turn, so that both see the same
+    slow moments; in blocks, so that neither pays for the caches that the other has filled.
     """
-    for function in (ours, theirs):
-        if function is not None:
-            for _ in range(3):
-                function()
-    own: list[float] = []
-    other: list[float] = []
+    functions = [ours] if theirs is None else [ours, theirs]
+    blocks = [_block(function) for function in functions]
+    taken: list[list[float]] = [[] for _ in functions]
     end = time.perf_counter() + seconds
-    while time.perf_counter() < end or len(own) < 5:
-        own.append(_timed(ours))
-        if theirs is not None:
-            other.append(_timed(theirs))
-    return Row(work, median(own), peer, median(other) if theirs is not None else None)
+    while time.perf_counter() < end or len(taken[0]) < 5:
+        for function, block, times in zip(functions, blocks, taken, strict=True):
+            times.append(_timed(function, block))
+    return Row(work, median(taken[0]), peer, median(taken[1]) if theirs is not None else None)
 
 
-def _timed(function: Callable[[], Any]) -> float:
-    """Return the milliseconds of processor time of one call, averaged over a few where it is very short."""
-    repeats = 1
-    while True:
-        start = time.thread_time_ns()
-        for _ in range(repeats):
-            function()
-        spent_ms = (time.thread_time_ns() - start) / 1e6
-        if spent_ms > 0.2 or repeats >= 8:
-            return spent_ms / repeats
-        repeats *= 8
+def _block(function: Callable[[], Any]) -> int:
+    """Return how many calls take about 3 ms, after the first calls have compiled and filled the caches."""
+    for _ in range(3):
+        function()
+    return max(1, round(3.0 / max(_timed(function, 3), 1e-4)))
+
+
+def _timed(function: Callable[[], Any], calls: int) -> float:
+    """Return the milliseconds of processor time of one call, the mean of a block of calls."""
+    start = time.thread_time_ns()
+    for _ in range(calls):
+        function()
+    return (time.thread_time_ns() - start) / 1e6 / calls

@@ -16,11 +16,11 @@ from rangecam.bench.race import Row, race
 from rangecam.clean import clean
 from rangecam.config import Config, load_config
 from rangecam.io import open_source
-from rangecam.pipeline import RANGING, process_frame
+from rangecam.pipeline import RANGING, call, process_frame
 from rangecam.scene.view import View
 from rangecam.segmentation import SEGMENTATION
 from rangecam.tracking import update_tracks
-from rangecam.types import Capture, Segments, Tracks
+from rangecam.types import Capture, RangeImage, Segments, Tracks
 
 Maker = Callable[..., Callable[..., Any]]
 
@@ -111,6 +111,12 @@ def _chain(moment: Moment) -> Callable[[], Any]:
     return partial(process_frame, moment.capture.raw, moment.tracks, moment.capture.ego, moment.config)
 
 
+def _cleaned_range(moment: Moment) -> RangeImage:
+    config = moment.config
+    image = call("ranging", RANGING[config.ranging], moment.capture.raw, config.camera)
+    return clean(image, config.camera.lens, config.mounting, config.clean)
+
+
 def _continuous_wave(seconds: float) -> Iterator[Row]:
     for height, width in ((120, 160), (480, 640)):
         moment = _moment("scenario:approach-box", 12, {"camera": {"rows": height, "columns": width}})
@@ -118,12 +124,8 @@ def _continuous_wave(seconds: float) -> Iterator[Row]:
         if height == 120:
             yield from _stages("scaled_car", moment, seconds)
 
-        def cleaned_range(moment: Moment = moment, config: Config = config) -> Any:
-            image = RANGING[config.ranging](moment.capture.raw, config.camera)
-            return clean(image, config.camera.lens, config.mounting, config.clean)
-
         works: list[tuple[str, Callable[[], Any], Maker]] = [
-            ("cw_range", cleaned_range, peers.opencv_cw_range),
+            ("cw_range", partial(_cleaned_range, moment), peers.opencv_cw_range),
             ("cw_chain", _chain(moment), peers.opencv_cw_chain),
         ]
         for work, ours, make in works:
@@ -179,7 +181,7 @@ def _segmentation(seconds: float) -> Iterator[Row]:
     process_frame(moment.capture.raw, moment.tracks, moment.capture.ego, moment.config, keep)
     image, points = kept["clean"], kept["geometry"]
     ours = partial(SEGMENTATION["region_growing"], image, points, moment.config.segments)
-    name, theirs = _peer("cv2", "OpenCV flood fill", peers.opencv_segments, moment.config)
+    name, theirs = _peer("skimage", "scikit-image flood", peers.skimage_segments, moment.config)
     yield race("region_growing_160x120", ours, name, _given(theirs, image.range_m, image.valid), seconds)
 
 
