@@ -25,6 +25,7 @@ app = App(
     help="Time-of-flight range cameras, from raw samples to the brake command.",
     version=rangecam.__version__,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,
 )
 
 Set = Annotated[
@@ -188,7 +189,12 @@ def _sinks(stack: ExitStack, opened: "Source", targets: dict[str, Path | None]) 
     from rangecam import io
     from rangecam.report import Report
 
-    makers = {"record": io.Recorder, "report": Report, "images": io.ImagesWriter, "tracks": io.TracksWriter}
+    makers: dict[str, Any] = {
+        "record": io.Recorder,
+        "report": Report,
+        "images": io.ImagesWriter,
+        "tracks": io.TracksWriter,
+    }
     for name, path in targets.items():
         if path is not None:
             yield stack.enter_context(makers[name](path, opened.config, opened.name))

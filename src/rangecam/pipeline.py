@@ -15,9 +15,9 @@ from rangecam.config import Config
 from rangecam.geometry import to_world
 from rangecam.segmentation import SEGMENTATION, measure_segments
 from rangecam.tracking import update_tracks
-from rangecam.types import Capture, Ego, Frame, RawFrame, Tracks
+from rangecam.types import Capture, Ego, Frame, RangeImage, RawFrame, Tracks
 
-RANGING = {**pulsed.RANGING, **cw.RANGING, **processed.RANGING}
+RANGING: dict[str, Callable[..., RangeImage]] = {**pulsed.RANGING, **cw.RANGING, **processed.RANGING}
 """Ranging methods by name, of all camera families: (RawFrame, camera settings) -> RangeImage."""
 
 
