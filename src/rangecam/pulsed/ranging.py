@@ -17,8 +17,8 @@ _VALID, _NO_SIGNAL, _NOT_FINITE = np.uint8(Why.VALID), np.uint8(Why.NO_SIGNAL), 
 _LOW_AMPLITUDE, _SATURATED = np.uint8(Why.LOW_AMPLITUDE), np.uint8(Why.SATURATED)
 _OUT_OF_RANGE, _SENSOR_FLAG = np.uint8(Why.OUT_OF_RANGE), np.uint8(Why.SENSOR_FLAG)
 _MOST_ACCUMULATIONS = 255
-_COMPILED = (np.float32, np.uint8)
-_NONE = np.zeros((0, 0), np.float32)
+_COMPILED = (np.dtype(np.float32), np.dtype(np.uint8))
+_LARGEST = 1e30
 
 
 def mdsi1(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
@@ -52,7 +52,7 @@ def _mdsi(raw: RawFrame, camera: PulsedCamera, windows: str, falling: bool) -> R
     """
     names = (f"shutter_{windows[0]}", f"shutter_{windows[1]}", "n_acc")
     part, other, n_acc = (_plane(raw, name, names) for name in names)
-    ambient = _plane(raw, "ambient", names) if "ambient" in raw.planes else _NONE
+    ambient = _plane(raw, "ambient", names) if "ambient" in raw.planes else np.zeros(part.shape, np.float32)
     tables, settings = _shutter_settings(camera, windows)
     images = _empty_images(part.shape)
     _shutter_quotient(part, other, n_acc, ambient, tables, settings, falling, "c" not in windows, *images)
@@ -89,50 +89,62 @@ def _shutter_settings(camera: PulsedCamera, windows: str) -> tuple[Floats, Float
 
 
 def _noise_tables(pixel: Pixel) -> Floats:
-    """Return damping, dark variance (V2, at the output) and d2 n by number of accumulations: (256, 3)."""
+    """Return by number of accumulations: damping d, dark variance (V2, at the output), d2 n and 1 / (d n): (256, 4)."""
     n = np.arange(_MOST_ACCUMULATIONS + 1)
     n[0] = 1  # never used: such pixels are NO_SIGNAL
     d = damping(n, pixel)
-    return np.stack([d, noise_variance(0.0, n, 0.0, pixel) + step_v(pixel) ** 2 / 12, d**2 * n], axis=-1)
+    dark = noise_variance(0.0, n, 0.0, pixel) + step_v(pixel) ** 2 / 12
+    return np.stack([d, dark, d**2 * n, 1 / (d * n)], axis=-1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shutter_quotient(  # type: ignore[no-untyped-def]
     part, other, n_acc, ambient, tables, settings, falling, summed, range_m, sigma_m, amplitude, why
 ):
-    """Fill the four output images; `summed`: the whole is part + other, else it is other."""
+    """Fill the four output images; `summed`: the whole is part + other, else it is other.
+
+    The first loop looks the tables up; the second has selects instead of branches, and becomes vector instructions.
+    """
     part, other, n_acc, ambient = part.reshape(-1), other.reshape(-1), n_acc.reshape(-1), ambient.reshape(-1)
     range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
     scale_m, zero_m, low_m, high_m, end_m, margin, saturation_v, min_snr2 = settings[:8]
     threshold_v, volts_per_electron, part_s, other_s, share = settings[8:]
+    rows = np.empty((4, part.size))
+    damping_of, dark_of, d2n_of, per_pulse_of = rows[0], rows[1], rows[2], rows[3]
     for i in range(part.size):
-        x, y, n = np.float64(part[i]), np.float64(other[i]), n_acc[i]
-        background = max(np.float64(ambient[i]), 0.0) if ambient.size else 0.0
-        range_m[i] = sigma_m[i] = amplitude[i] = np.nan
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(n) and np.isfinite(background)):
-            why[i] = _NOT_FINITE
-            continue
-        if not 1 <= n < len(tables):
-            why[i] = _NO_SIGNAL if n < 1 else _SENSOR_FLAG
-            continue
-        k = int(n)
-        d, dark, d2n = tables[k, 0], tables[k, 1], tables[k, 2]
-        variance_x = share * (dark + volts_per_electron * (d * max(x, 0.0) + d2n * part_s * background))
-        variance_y = share * (dark + volts_per_electron * (d * max(y, 0.0) + d2n * other_s * background))
-        whole, whole_variance = (x + y, variance_x + variance_y) if summed else (y, variance_y)
-        amplitude[i] = whole / (d * n)
-        if whole > 0:
-            quotient = x / whole
-            by_x = 1 - quotient if summed else 1.0
-            range_m[i] = zero_m + scale_m * (1 - quotient if falling else quotient)  # eqs 3.18-3.21
-            sigma_m[i] = scale_m / whole * np.sqrt(by_x**2 * variance_x + quotient**2 * variance_y)  # eqs 5.4-5.7
-        if max(x, y) >= saturation_v:
-            why[i] = _SATURATED
-        elif not (whole > 0 and whole >= threshold_v and whole * whole >= min_snr2 * whole_variance):
-            why[i] = _LOW_AMPLITUDE
-        else:
-            inside = low_m <= range_m[i] <= high_m and range_m[i] + margin * sigma_m[i] <= end_m
-            why[i] = _VALID if inside else _OUT_OF_RANGE
+        n = n_acc[i]
+        known = 1 <= n < len(tables)
+        k = np.intp(n) if known else 0
+        damping_of[i], dark_of[i], d2n_of[i], per_pulse_of[i] = tables[k, 0], tables[k, 1], tables[k, 2], tables[k, 3]
+        why[i] = _VALID if known else _NO_SIGNAL if n < 1 else _SENSOR_FLAG if n >= len(tables) else _NOT_FINITE
+    start_m, slope_m = (zero_m + scale_m, -scale_m) if falling else (zero_m, scale_m)
+    with_part = 1.0 if summed else 0.0
+    for i in range(part.size):
+        finite = abs(part[i]) + abs(other[i]) + abs(ambient[i]) < _LARGEST
+        x, y = np.float64(part[i] if finite else 0), np.float64(other[i] if finite else 0)
+        ambient_vps = np.float64(ambient[i] if finite and ambient[i] > 0 else 0)
+        d, dark, d2n = damping_of[i], dark_of[i], d2n_of[i]
+        variance_x = share * (dark + volts_per_electron * (d * (x if x > 0 else 0.0) + d2n * part_s * ambient_vps))
+        variance_y = share * (dark + volts_per_electron * (d * (y if y > 0 else 0.0) + d2n * other_s * ambient_vps))
+        whole, whole_variance = with_part * x + y, with_part * variance_x + variance_y
+        inverse = 1 / (whole if whole > 0 else 1.0)
+        quotient = x * inverse
+        by_x = 1 - with_part * quotient
+        distance_m = start_m + slope_m * quotient  # eqs 3.18-3.21
+        deviation_m = scale_m * inverse * np.sqrt(by_x**2 * variance_x + quotient**2 * variance_y)  # eqs 5.4-5.7
+        inside = (low_m <= distance_m) & (distance_m <= high_m) & (distance_m + margin * deviation_m <= end_m)
+        enough = (whole > 0) & (whole >= threshold_v) & (whole * whole >= min_snr2 * whole_variance)
+        reason = _VALID if inside else _OUT_OF_RANGE
+        reason = reason if enough else _LOW_AMPLITUDE
+        reason = _SATURATED if (x >= saturation_v) | (y >= saturation_v) else reason
+        reason = reason if finite else _NOT_FINITE
+        known = why[i] == _VALID
+        read = finite & known
+        usable = read & (whole > 0)
+        range_m[i] = distance_m if usable else np.nan
+        sigma_m[i] = deviation_m if usable else np.nan
+        amplitude[i] = whole * per_pulse_of[i] if read else np.nan
+        why[i] = reason if known else why[i]
 
 
 def three_tap(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
@@ -149,17 +161,17 @@ def three_tap(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     """
     names = ("tap_1", "tap_2", "tap_3")
     t1, t2, t3 = (_plane(raw, name, names) for name in names)
-    (d1, d2, d3), (s1, s2, s3) = (
-        [_plane(raw, f"{kind}_{i}", names) if f"{kind}_1" in raw.planes else _NONE for i in (1, 2, 3)]
-        for kind in ("dark", "tap_std")
-    )
-    early, settings, images = camera.pulse_lead_s > 0, _gate_settings(camera), _empty_images(t1.shape)
-    _gate_quotient(t1, t2, t3, d1, d2, d3, s1, s2, s3, settings, early, *images)
+    none = np.zeros(t1.shape, np.float32)
+    dark, std = (f"{kind}_1" in raw.planes for kind in ("dark", "tap_std"))
+    d1, d2, d3 = (_plane(raw, f"dark_{i}", names) if dark else none for i in (1, 2, 3))
+    s1, s2, s3 = (_plane(raw, f"tap_std_{i}", names) if std else none for i in (1, 2, 3))
+    early, images = camera.pulse_lead_s > 0, _empty_images(t1.shape)
+    _gate_quotient(t1, t2, t3, d1, d2, d3, s1, s2, s3, _gate_settings(camera, dark), early, std, *images)
     return RangeImage(raw.time_s, *images)
 
 
 @lru_cache(maxsize=8)
-def _gate_settings(camera: PulsedCamera) -> Floats:
+def _gate_settings(camera: PulsedCamera, dark: bool) -> Floats:
     """Return what the kernel needs of the camera, in its order; raises UsageError for gates that lose near light."""
     pulse_s, closes_s = camera.pulse_width_s, gate_windows(camera)["2"][1]
     if camera.pulse_lead_s > 0 and closes_s > pulse_s:
@@ -183,7 +195,7 @@ def _gate_settings(camera: PulsedCamera) -> Floats:
             noise.black_level_counts,
             noise.read_noise_counts**2 + 1 / 12,
             noise.shot_noise_counts2_per_count,
-            1 / noise.dark_frames,
+            1 / noise.dark_frames if dark else 0.0,
             1 / camera.averages,
         ]
     )
@@ -191,65 +203,67 @@ def _gate_settings(camera: PulsedCamera) -> Floats:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _gate_quotient(  # type: ignore[no-untyped-def]
-    t1, t2, t3, d1, d2, d3, s1, s2, s3, settings, early, range_m, sigma_m, amplitude, why
+    t1, t2, t3, d1, d2, d3, s1, s2, s3, settings, early, measured, range_m, sigma_m, amplitude, why
 ):
-    """Fill the four output images; `early`: tap 1 holds light of the pulse."""
+    """Fill the four output images; `early`: tap 1 holds light of the pulse; `measured`: s1..3 are standard deviations.
+
+    Selects instead of branches, so that the loop becomes vector instructions.
+    """
     t1, t2, t3 = t1.reshape(-1), t2.reshape(-1), t3.reshape(-1)
     d1, d2, d3 = d1.reshape(-1), d2.reshape(-1), d3.reshape(-1)
     s1, s2, s3 = s1.reshape(-1), s2.reshape(-1), s3.reshape(-1)
     range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
     scale_m, zero_m, gate_minus_one, low_m, high_m, end_m, margin = settings[:7]
     saturation, min_snr2, threshold, black, read_variance, per_count, dark_share, share = settings[7:]
-    noise = (black, read_variance, per_count, dark_share, share)
+    ambient_share = 0.0 if early else 1.0
     for i in range(t1.size):
-        range_m[i] = sigma_m[i] = amplitude[i] = np.nan
-        n1, v1 = _tap(t1, d1, s1, i, noise)
-        n2, v2 = _tap(t2, d2, s2, i, noise)
-        n3, v3 = _tap(t3, d3, s3, i, noise)
-        if not (np.isfinite(n1 + n2 + n3) and np.isfinite(v1 + v2 + v3)):
-            why[i] = _NOT_FINITE
-            continue
-        if t1[i] == 0 and t2[i] == 0 and t3[i] == 0:
-            why[i] = _NO_SIGNAL
-            continue
-        if early:
-            whole, variance = n1 + n2 + n3, v1 + v2 + v3
-            first = n1 > n3
-            inverse = 1 / whole
-            quotient = (-n1 if first else n3) * inverse
-            by_1, by_2, by_3 = -quotient - (1 if first else 0), -quotient, (0 if first else 1) - quotient
+        finite = abs(t1[i]) + abs(t2[i]) + abs(t3[i]) + abs(d1[i]) + abs(d2[i]) + abs(d3[i]) < _LARGEST
+        finite = finite & (abs(s1[i]) + abs(s2[i]) + abs(s3[i]) < _LARGEST)
+        a1, a2, a3 = np.float64(t1[i]), np.float64(t2[i]), np.float64(t3[i])
+        b1, b2, b3 = np.float64(d1[i]), np.float64(d2[i]), np.float64(d3[i])
+        if measured:
+            v1, v2, v3 = _squared(s1[i]), _squared(s2[i]), _squared(s3[i])
         else:
-            first = False
-            whole, variance = n2 + n3 - 2 * n1, v2 + v3 + 4 * v1
-            inverse = 1 / whole
-            quotient = (n3 - n1) * inverse
-            by_1, by_2, by_3 = 2 * quotient - 1, -quotient, 1 - quotient
-        amplitude[i] = whole
-        if whole > 0:
-            range_m[i] = zero_m + scale_m * (quotient + (0.0 if first else gate_minus_one))
-            sigma_m[i] = scale_m * inverse * np.sqrt(by_1**2 * v1 + by_2**2 * v2 + by_3**2 * v3)
-        if max(t1[i], t2[i], t3[i]) >= saturation:
-            why[i] = _SATURATED
-        elif not (whole > 0 and whole >= threshold and whole * whole >= min_snr2 * variance):
-            why[i] = _LOW_AMPLITUDE
-        else:
-            inside = low_m <= range_m[i] <= high_m and range_m[i] + margin * sigma_m[i] <= end_m
-            why[i] = _VALID if inside else _OUT_OF_RANGE
+            v1 = share * _modelled(a1 - black, read_variance, per_count)
+            v2 = share * _modelled(a2 - black, read_variance, per_count)
+            v3 = share * _modelled(a3 - black, read_variance, per_count)
+        v1 += dark_share * _modelled(b1 - black, read_variance, per_count)
+        v2 += dark_share * _modelled(b2 - black, read_variance, per_count)
+        v3 += dark_share * _modelled(b3 - black, read_variance, per_count)
+        n1, n2, n3 = a1 - b1, a2 - b2, a3 - b3
+        # Tap 1 is light of the pulse, or the background that the others hold as well.
+        first = early & (n1 > n3)
+        from_1, from_3 = (1.0 if first else ambient_share), (0.0 if first else 1.0)
+        by_tap_1 = 1 - 3 * ambient_share
+        whole, variance = n2 + n3 + by_tap_1 * n1, v2 + v3 + by_tap_1**2 * v1
+        inverse = 1 / (whole if whole > 0 else 1.0)
+        quotient = (from_3 * n3 - from_1 * n1) * inverse
+        by_1, by_2, by_3 = -from_1 - by_tap_1 * quotient, -quotient, from_3 - quotient
+        distance_m = zero_m + scale_m * (quotient + (0.0 if first else gate_minus_one))
+        deviation_m = scale_m * inverse * np.sqrt(by_1**2 * v1 + by_2**2 * v2 + by_3**2 * v3)
+        usable = finite & (whole > 0)
+        inside = (low_m <= distance_m) & (distance_m <= high_m) & (distance_m + margin * deviation_m <= end_m)
+        enough = (whole > 0) & (whole >= threshold) & (whole * whole >= min_snr2 * variance)
+        reason = _VALID if inside else _OUT_OF_RANGE
+        reason = reason if enough else _LOW_AMPLITUDE
+        reason = _SATURATED if (a1 >= saturation) | (a2 >= saturation) | (a3 >= saturation) else reason
+        reason = _NO_SIGNAL if (a1 == 0) & (a2 == 0) & (a3 == 0) else reason
+        range_m[i] = distance_m if usable else np.nan
+        sigma_m[i] = deviation_m if usable else np.nan
+        amplitude[i] = whole if finite else np.nan
+        why[i] = reason if finite else _NOT_FINITE
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _tap(tap, dark, std, i, noise):  # type: ignore[no-untyped-def]
-    """Return the light of one gate, counts, and its variance."""
-    black, read_variance, variance_per_count, dark_share, share = noise
-    value = np.float64(tap[i])
-    if std.size:
-        variance = std[i] ** 2 + 1 / 12  # a converter that always shows the same code still rounds
-    else:
-        variance = share * (read_variance + variance_per_count * max(value - black, 0.0))
-    if dark.size:
-        value -= dark[i]
-        variance += dark_share * (read_variance + variance_per_count * max(dark[i] - black, 0.0))
-    return value, variance
+def _modelled(light, read_variance, per_count):  # type: ignore[no-untyped-def]
+    """Return the variance of a tap by the light in it."""
+    return read_variance + per_count * (light if light > 0 else 0.0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _squared(sigma):  # type: ignore[no-untyped-def]
+    """Return a measured variance; a converter that always shows the same code still rounds."""
+    return np.float64(sigma) ** 2 + 1 / 12
 
 
 def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
@@ -270,7 +284,7 @@ def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
         )
     if plane.dtype.kind not in "uif":
         raise DataError(f"frame {raw.frame_id}: plane '{name}' holds {plane.dtype}; it must hold real numbers")
-    return np.ascontiguousarray(plane, plane.dtype if plane.dtype in _COMPILED else np.float64)
+    return np.ascontiguousarray(plane, None if plane.dtype in _COMPILED else np.float64)
 
 
 def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[float, float, float]:
