@@ -64,7 +64,9 @@ class ImagesWriter:
             self._parts[name].write(np.ascontiguousarray(getattr(frame.image, name), kind).tobytes())
 
     def close(self) -> None:
-        """Write the file."""
+        """Write the file; a second time does nothing."""
+        if all(part.closed for part in self._parts.values()):
+            return
         shape = (len(self._times), *self._shape)
         with replacing(self._path) as path, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
             for name, kind in IMAGES.items():
@@ -74,6 +76,11 @@ class ImagesWriter:
                     shutil.copyfileobj(self._parts[name], member, 1 << 20)
             with file.open("time_s.npy", "w") as member:
                 npy.write_array(member, np.array(self._times, np.float64))
+        self._release()
+
+    def _release(self) -> None:
+        for part in self._parts.values():
+            part.close()
 
     def __enter__(self) -> Self:
         return self
@@ -85,8 +92,7 @@ class ImagesWriter:
             if kind is None:
                 self.close()
         finally:
-            for part in self._parts.values():
-                part.close()
+            self._release()
 
 
 def _write_header(file: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
@@ -132,11 +138,14 @@ class TracksWriter:
             )
 
     def close(self) -> None:
-        """Write the file."""
+        """Write the file; a second time does nothing."""
+        if self._text.closed:
+            return
         self._text.flush()
         self._part.seek(0)
         with replacing(self._path) as path, path.open("wb") as file:
             shutil.copyfileobj(self._part, file, 1 << 20)
+        self._text.close()
 
     def __enter__(self) -> Self:
         return self

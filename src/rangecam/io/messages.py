@@ -125,12 +125,20 @@ def timestamp(time_s: float) -> Timestamp:
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
+_KINDS = "buifc"
 _NAMES: dict[np.dtype[Any], str] = {np.dtype("u1"): "mono8", np.dtype("<u2"): "mono16", np.dtype("<f4"): "32FC1"}
 _DTYPES: dict[str, np.dtype[Any]] = {name: dtype for dtype, name in _NAMES.items()}
 
 
 def image_message(image: Image, time_s: float) -> RawImage:
-    """Return an (H, W) array of numbers or truth values as a message that holds every bit; see `read_image`."""
+    """Return an (H, W) array of numbers or truth values as a message that holds every bit; see `read_image`.
+
+    Raises DataError for anything else.
+    """
+    if image.ndim != 2 or image.dtype.kind not in _KINDS:
+        raise DataError(
+            f"cannot record an array of shape {image.shape} of {image.dtype}; it must be an image of numbers"
+        )
     height, width = image.shape
     return RawImage(
         timestamp=timestamp(time_s),
@@ -149,7 +157,7 @@ def read_image(data: bytes) -> Image:
         message = RawImage.FromString(data)
         name: str = message.encoding
         dtype = _DTYPES[name] if name in _DTYPES else np.dtype(name.removeprefix("numpy:"))
-        if dtype.kind not in "buifc":
+        if dtype.kind not in _KINDS:
             raise TypeError(f"type {dtype}")
         flat = np.frombuffer(message.data, dtype).copy()  # a copy, because the buffer cannot be written to
         return flat.reshape(message.height, message.width)

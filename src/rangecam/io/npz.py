@@ -126,7 +126,7 @@ def open_npz(path: Path) -> Content:
     if not zipfile.is_zipfile(path):
         raise DataError(f"{path}: not a NumPy archive, or cut off; write one with numpy.savez")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return _read(path, list(file.files), cache(partial(_array, path, file)))
     except DataError:
         raise

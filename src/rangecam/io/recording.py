@@ -3,6 +3,11 @@
 The file begins with the complete settings. Each frame is one chunk with a checksum, handed to the operating system
 before the next frame is taken; its last message says which ones belong to it. A file that ends anywhere opens up to its
 last complete frame.
+
+    /raw/PLANE                          raw samples, of their own type       /ego, /truth, /truth/PLANE  if known
+    /image/range sigma amplitude why    what became of them                  /tracks, /decision          in full
+    /objects                            boxes to draw, in vehicle axes       /frame                      the marker
+    /camera/calibration, /tf            lens and mounting, with the first frame
 """
 
 import io
@@ -10,6 +15,7 @@ import json
 import os
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -76,11 +82,21 @@ class Recorder:
             self._writer = self._begin()
         topics.append(marker_message(raw, [topic for topic, _ in topics]))
         time_ns = nanoseconds(raw.time_s)
-        for topic, payload in topics:
-            channel = self._channel(self._writer, topic, payload)
-            self._writer.add_message(channel, time_ns, to_bytes(payload), time_ns, self._frames)
-        self._writer.flush()
+        try:
+            for topic, payload in topics:
+                channel = self._channel(self._writer, topic, payload)
+                self._writer.add_message(channel, time_ns, to_bytes(payload), time_ns, self._frames)
+            self._writer.flush()
+        except OSError:
+            self._abandon()
+            raise
         self._frames += 1
+
+    def _abandon(self) -> None:
+        """Close the file as it is: it ends within a frame, and nothing may be written behind that."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
 
     def _begin(self) -> Writer:
         from rangecam import __version__
@@ -107,17 +123,14 @@ class Recorder:
 
     def close(self) -> None:
         """Write the index that lets other tools jump to any time, and close the file."""
-        if self._file is None or self._writer is None:
+        if self._file is None or self._writer is None or self._file.closed:
             return
         try:
             self._writer.finish()
-        finally:
-            self._release()
-
-    def _release(self) -> None:
-        file, self._file, self._writer = self._file, None, None
-        if file is not None:
-            file.close()
+            self._file.close()
+        except OSError:
+            self._abandon()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -125,12 +138,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            self.close()
-        except OSError:
-            # After a failed write another one fails, too; the first one is what people must be told.
-            if not isinstance(error, OSError):
-                raise
+        self.close()
 
 
 def _start(file: IO[bytes]) -> Writer:
