@@ -65,7 +65,7 @@ def test_the_opencv_composition_finds_the_same_cleaned_range() -> None:
         return kept[stage]
 
     process_frame(moment.capture.raw, Tracks.empty(), moment.capture.ego, moment.config, keep)
-    range_m, mask = peers.opencv_cw_range(moment.config)(moment.capture.raw.planes)
+    range_m, _, mask = peers.opencv_cw_range(moment.config)(moment.capture.raw.planes)
     ours, both = kept["clean"], kept["clean"].valid & (mask > 0)
     assert both.sum() > 0.7 * ours.valid.sum()
     assert np.median(np.abs(range_m - ours.range_m)[both]) < 0.02

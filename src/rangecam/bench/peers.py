@@ -235,7 +235,9 @@ def _cleaned(cv2: Any, config: Config, range_m: Floats, sigma: Floats, amplitude
         range_m[outside] = MARKER
         upper = cv2.medianBlur(range_m, 3)
         range_m[outside] = -MARKER
-        range_m = cv2.addWeighted(upper, 0.5, cv2.medianBlur(range_m, 3), 0.5, 0.0)
+        lower = cv2.medianBlur(range_m, 3)
+        known = cv2.bitwise_and(cv2.compare(upper, MARKER, cv2.CMP_LT), cv2.compare(lower, -MARKER, cv2.CMP_GT))
+        range_m = cv2.copyTo(cv2.addWeighted(upper, 0.5, lower, 0.5, 0.0), known, range_m)
         number = cv2.boxFilter(cv2.min(mask, 1), cv2.CV_32F, (3, 3), normalize=False)
         sigma = cv2.divide(sigma, cv2.sqrt(number), scale=1.25)
     top = cv2.add(range_m, cv2.multiply(sigma, c.floor_margin_sigmas))
@@ -271,6 +273,8 @@ def _limits(config: Config, shape: tuple[int, int]) -> tuple[Floats, ...]:
     if c.floor == "off":
         floor_m = np.full(shape, np.inf)
     near, far = np.zeros(shape), np.full(shape, np.inf)
+    if c.x_min_m is not None:
+        near = c.x_min_m / world[..., 0]
     if c.x_max_m is not None:
         far = np.minimum(far, c.x_max_m / world[..., 0])
     if c.width_m is not None:
