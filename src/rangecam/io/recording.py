@@ -14,7 +14,7 @@ import io
 import json
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +105,8 @@ class Recorder:
         writer = _start(self._file)
         settings = json.dumps(tree(self._config), allow_nan=False)
         facts = {"layout": LAYOUT, "version": __version__, "preset": self._config.preset, "source": self._source}
-        writer.add_metadata(PROFILE, {**facts, "settings": settings, "settings_crc32": _crc(settings)})
+        facts["settings"] = settings
+        writer.add_metadata(PROFILE, {**facts, "crc32": _crc(facts)})
         return writer
 
     def _channel(self, writer: Writer, topic: str, payload: Payload) -> int:
@@ -148,8 +149,9 @@ def _start(file: IO[bytes]) -> Writer:
     return writer
 
 
-def _crc(text: str) -> str:
-    return f"{zlib.crc32(text.encode()):08x}"
+def _crc(facts: Mapping[str, str]) -> str:
+    """Return the checksum of everything that is said at the beginning, which the file format itself does not check."""
+    return f"{zlib.crc32(json.dumps(facts, sort_keys=True).encode()):08x}"
 
 
 def open_recording(path: Path) -> Content:
@@ -269,10 +271,9 @@ def _read_facts(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
             f"{path}: written by rangecam {facts.get('version')} in layout {facts.get('layout')}; "
             f"this version reads layout {LAYOUT}"
         )
-    text = facts.get("settings", "")
-    if _crc(text) != facts.get("settings_crc32"):
+    if _crc({key: value for key, value in facts.items() if key != "crc32"}) != facts.get("crc32"):
         raise DataError(f"{path}: its settings are damaged (checksum)")
-    settings: dict[str, Any] = json.loads(text)
+    settings: dict[str, Any] = json.loads(facts["settings"])
     return facts, settings
 
 

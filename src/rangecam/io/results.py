@@ -72,7 +72,7 @@ def _calibration(lens: Lens, shape: tuple[int, int], time_s: float) -> CameraCal
 
 def _transform(parent: str, child: str, origin_m: Floats, matrix: Floats, time_s: float) -> FrameTransform:
     """Return the pose of a frame of reference in its parent; `matrix` turns the child's axes into the parent's."""
-    x, y, z, w = Rotation.from_matrix(matrix).as_quat()
+    x, y, z, w = Rotation.from_matrix(np.array(matrix)).as_quat()
     return FrameTransform(
         timestamp=timestamp(time_s),
         parent_frame_id=parent,
