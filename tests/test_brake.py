@@ -69,14 +69,14 @@ def decided(*rows: dict[str, float], ego: Ego | None = None, **settings: typing.
 @pytest.mark.parametrize(("kmh", "way_m"), [(10, 0.562), (20, 2.247), (30, 5.056), (50, 14.046)])
 def test_braking_distances_of_the_thesis_on_asphalt(kmh: float, way_m: float) -> None:
     settings = DecisionSettings(friction=0.7, reaction_time_s=0.0)
-    assert stopping_distance(kmh / 3.6, settings) == pytest.approx(way_m, abs=5e-4)
+    assert stopping_distance(kmh / 3.6, 0.0, settings) == pytest.approx(way_m, abs=5e-4)
 
 
 @pytest.mark.parametrize(
     ("speed", "way_m"), [(1.0, 0.403), (2.0, 1.146), (3.0, 2.229), (4.0, 3.652), (20 / 3.6, 6.540)]
 )
 def test_stopping_distances_of_the_model_car(speed: float, way_m: float) -> None:
-    assert stopping_distance(speed, MODEL_CAR) == pytest.approx(way_m, abs=6e-4)
+    assert stopping_distance(speed, 0.0, MODEL_CAR) == pytest.approx(way_m, abs=6e-4)
 
 
 def test_the_reaction_takes_four_frames_and_the_brakes() -> None:
@@ -86,19 +86,51 @@ def test_the_reaction_takes_four_frames_and_the_brakes() -> None:
 def test_the_speed_from_which_braking_takes_longer_than_a_human_reaction() -> None:
     settings = DecisionSettings(friction=0.7, reaction_time_s=1.5)
     speed = 74.2 / 3.6
-    assert stopping_distance(speed, settings) == pytest.approx(2 * speed * 1.5, rel=1e-3)
+    assert stopping_distance(speed, 0.0, settings) == pytest.approx(2 * speed * 1.5, rel=1e-3)
 
 
 def test_a_deceleration_replaces_friction() -> None:
     settings = DecisionSettings(deceleration_mps2=5.0, friction=0.1)
     assert full_deceleration(settings) == 5.0
     assert full_deceleration(MODEL_CAR) == pytest.approx(0.3 * 9.81)
-    assert stopping_distance(10.0, settings) == pytest.approx(10 * settings.reaction_time_s + 10.0)
+    assert stopping_distance(10.0, 0.0, settings) == pytest.approx(10 * settings.reaction_time_s + 10.0)
+
+
+def closest(gap_m: float, own_mps: float, ahead_mps: float, ahead_brakes: bool, settings: DecisionSettings) -> float:
+    """Smallest gap while we brake fully after the reaction and the object ahead brakes at once or never."""
+    t = np.linspace(0, 30, 60_001)
+    brake = full_deceleration(settings)
+    ours = np.clip(own_mps - brake * np.maximum(t - settings.reaction_time_s, 0), 0, None)
+    theirs = np.clip(ahead_mps - brake * t, 0, None) if ahead_brakes else np.full_like(t, ahead_mps)
+    theirs = np.where(ours > 0, theirs, 0.0) if not ahead_brakes else theirs
+    step = np.diff(t)
+    gap = gap_m + np.cumsum((theirs[1:] - ours[1:] + theirs[:-1] - ours[:-1]) / 2 * step)
+    return float(gap.min())
+
+
+@pytest.mark.parametrize("own", [2.0, 5.0, 14.0])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 1.0, -0.5])
+def test_from_the_stopping_distance_on_a_simulated_stop_ends_just_before_the_object(own: float, share: float) -> None:
+    settings = DecisionSettings(friction=0.7)
+    way_m = stopping_distance(own, share * own, settings)
+    assert closest(way_m, own, share * own, share >= 0, settings) == pytest.approx(0.0, abs=0.01)
+
+
+def test_behind_a_car_as_fast_as_we_only_the_reaction_takes_way() -> None:
+    assert stopping_distance(10.0, 10.0, MODEL_CAR) == pytest.approx(10 * MODEL_CAR.reaction_time_s)
+
+
+def test_behind_a_braking_car_braking_begins_while_it_still_helps() -> None:
+    settings, gap, ahead = DecisionSettings(friction=0.7, reaction_time_s=0.18), 18.0, 14.0
+    while not must_brake(Threat(gap, 14 - ahead, 500.0), 14.0, True, settings):
+        gap, ahead = gap - (14 - ahead) * 0.02, ahead - 0.02 * full_deceleration(settings)
+    assert closest(gap, 14.0, ahead, True, settings) > 1.0
+    assert gap < 17.0
 
 
 @given(st.floats(0.1, 20.0))
 def test_the_needed_deceleration_at_the_stopping_distance_is_full_braking(speed: float) -> None:
-    way_m = stopping_distance(speed, MODEL_CAR)
+    way_m = stopping_distance(speed, 0.0, MODEL_CAR)
     assert needed_deceleration(way_m, speed, MODEL_CAR) == pytest.approx(full_deceleration(MODEL_CAR))
 
 
@@ -127,9 +159,10 @@ def test_the_truth_table_of_algorithm_4_4(
         min_object_m=0.1 if over_min_area else 10.0,  # at 2 m: 33 pixels, or 330,000
         large_object_px=99.0 if over_large else 101.0,
         min_object_px=99.0 if over_small else 101.0,
+        min_speed_mps=2.9 if fast else 3.0,
     )
-    way_m = 1.5 * stopping_distance(3.0, settings) + (-1e-9 if near else 1e-9)
-    demanded = must_brake(Threat(way_m, 3.0, pixels), 0.51 if fast else 0.5, forward, settings)
+    way_m = 1.5 * stopping_distance(3.0, 0.0, settings) + (-1e-9 if near else 1e-9)
+    demanded = must_brake(Threat(way_m, 3.0, pixels), 3.0, forward, settings)
     assert demanded == (near and (over_min_area or over_large) and over_small and fast and forward)
 
 
@@ -148,7 +181,7 @@ def test_at_contact_only_a_large_object_is_one() -> None:
 
 
 def test_the_margin_stretches_the_stopping_distance() -> None:
-    threat = Threat(1.2 * stopping_distance(3.0, MODEL_CAR), 3.0, 500.0)
+    threat = Threat(1.2 * stopping_distance(3.0, 0.0, MODEL_CAR), 3.0, 500.0)
     assert must_brake(threat, 3.0, True, MODEL_CAR)
     assert not must_brake(threat, 3.0, True, dataclasses.replace(MODEL_CAR, margin=1.1))
 
@@ -198,7 +231,7 @@ def test_a_box_in_the_path_is_braked_for_and_the_decision_says_why() -> None:
     assert (decision.track_id, decision.time_s) == (1, 2.5)
     assert decision.distance_m == pytest.approx(2.3)
     assert decision.closing_speed_mps == 3.0
-    assert decision.stopping_distance_m == pytest.approx(stopping_distance(3.0, MODEL_CAR))
+    assert decision.stopping_distance_m == pytest.approx(stopping_distance(3.0, 0.0, MODEL_CAR))
     assert decision.needed_deceleration_mps2 == pytest.approx(9 / 2 / (2.3 - 3 * MODEL_CAR.reaction_time_s))
     assert decision.ttc_s == pytest.approx(2.3 / 3)
     assert decision.ttc_sigma_s > 0

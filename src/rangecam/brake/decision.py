@@ -26,8 +26,8 @@ def closing_speed(
 
     speed_x_mps, sigma_mps: estimate of the track relative to us. With the own speed known, a track whose estimate
     agrees with that of a standing object closes at the own speed, which is better known: so the thesis treats all
-    objects. Unlike there, one that drives ahead of us closes at the difference of the speeds, one that comes towards us
-    at their sum.
+    objects. Unlike there, one that drives ahead of us closes at the difference of the speeds, one that comes towards
+    us at their sum.
     """
     closing, tolerance = -speed_x_mps, settings.speed_sigmas * sigma_mps
     if own_speed_mps is not None and abs(closing - own_speed_mps) <= tolerance:
@@ -69,7 +69,7 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
         track_id=int(tracks.track_id[chosen]),
         distance_m=threat.distance_m,
         closing_speed_mps=threat.closing_speed_mps,
-        stopping_distance_m=stopping_distance(threat.closing_speed_mps, settings),
+        stopping_distance_m=stopping_distance(own_speed, own_speed - threat.closing_speed_mps, settings),
         needed_deceleration_mps2=needed_deceleration(threat.distance_m, threat.closing_speed_mps, settings),
         ttc_s=float(collisions.ttc_s[chosen]),
         ttc_sigma_s=float(collisions.ttc_sigma_s[chosen]),
@@ -106,7 +106,8 @@ def _free_ways(
 
 def _reason(name: str, threat: Threat, own_speed_mps: float, forward: bool, settings: DecisionSettings) -> str:
     """Return one phrase for people: the numbers, and what speaks against braking although there is too little way."""
-    closing, stopping_m = threat.closing_speed_mps, stopping_distance(threat.closing_speed_mps, settings)
+    closing = threat.closing_speed_mps
+    stopping_m = stopping_distance(own_speed_mps, own_speed_mps - closing, settings)
     if closing <= 0:
         return f"{name} at {threat.distance_m:.1f} m, not closing"
     phrase = f"{name} at {threat.distance_m:.1f} m closing at {closing:.1f} m/s: stopping needs {stopping_m:.1f} m"

@@ -53,8 +53,10 @@ class Threat(NamedTuple):
 
 def must_brake(threat: Threat, own_speed_mps: float, forward: bool, settings: DecisionSettings) -> bool:
     """Return whether an object in the path demands emergency braking (Steinbäck 2016, algorithm 4.4)."""
+    stopping_m = stopping_distance(own_speed_mps, own_speed_mps - threat.closing_speed_mps, settings)
     return (
-        threat.distance_m < settings.margin * stopping_distance(threat.closing_speed_mps, settings)
+        threat.closing_speed_mps > 0
+        and threat.distance_m < settings.margin * stopping_m
         and is_object(threat, settings)
         and own_speed_mps > settings.min_speed_mps
         and forward
@@ -65,9 +67,17 @@ RULES: dict[str, Callable[[Threat, float, bool, DecisionSettings], bool]] = {"st
 """Brake rules by name: (object in the path, own speed, driving forward, settings) -> brake."""
 
 
-def stopping_distance(speed_mps: float, settings: DecisionSettings) -> float:
-    """Return the way in m from the exposure of an image to standstill: reaction and braking (eq 3.1 to 3.3, 4.2)."""
-    return speed_mps * settings.reaction_time_s + speed_mps**2 / (2 * full_deceleration(settings))
+def stopping_distance(speed_mps: float, object_mps: float, settings: DecisionSettings) -> float:
+    """Return the free way in m, from the exposure of an image on, that stopping before an object takes.
+
+    For a standing object that is reaction and braking (eq 3.1 to 3.3, 4.2). One that drives ahead at `object_mps`
+    may begin to brake as hard as we do; one that comes towards us (negative) is expected to come on.
+    """
+    deceleration = full_deceleration(settings)
+    own_m = speed_mps * settings.reaction_time_s + speed_mps**2 / (2 * deceleration)
+    if object_mps >= 0:
+        return own_m - object_mps**2 / (2 * deceleration)
+    return own_m - object_mps * (settings.reaction_time_s + speed_mps / deceleration)
 
 
 def full_deceleration(settings: DecisionSettings) -> float:
@@ -76,7 +86,10 @@ def full_deceleration(settings: DecisionSettings) -> float:
 
 
 def needed_deceleration(distance_m: float, speed_mps: float, settings: DecisionSettings) -> float:
-    """Return the deceleration in m/s2 that stops within the distance after the reaction time; inf if none does."""
+    """Return the deceleration in m/s2 that ends closing in at this speed within the distance; inf if none does.
+
+    It begins after the reaction time; the object keeps its speed.
+    """
     way_m = distance_m - speed_mps * settings.reaction_time_s
     if speed_mps <= 0:
         return 0.0
