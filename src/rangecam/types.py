@@ -11,7 +11,6 @@ Collections (`Segments`, `Tracks`, `Collisions`) are structs of arrays, one row 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -115,7 +114,7 @@ class Rows:
     """A struct of arrays: the first axis of every array field is the object (see `Segments`, `Tracks`)."""
 
     def __len__(self) -> int:
-        return len(getattr(self, dataclasses.fields(self)[0].name))  # type: ignore[arg-type]
+        return len(next(iter(vars(self).values())))
 
 
 @dataclass(frozen=True, eq=False)
