@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -84,29 +85,52 @@ def _never(shape: tuple[int, int]) -> Floats:
 
 
 def fit_floor(range_m: Floats, why: Ints, lens: Lens) -> Floats:
-    """Return the plane that the far side of the image lies on: (3,) 1/m in camera axes, zeros where there is none.
+    """Return the plane that most of the image lies on and nothing behind: (3,) 1/m in camera axes, zeros if none.
 
-    The vector m points at the plane, 1/norm(m) is its distance, and 1/range = m . ray for a pixel that sees it. The
-    regression on quantiles lets up to about half the pixels see something nearer than the floor. Deterministic.
+    The vector m points at the plane, 1/norm(m) is its distance, and 1/range = m . ray for a pixel that sees it. Every
+    three of a dozen parts of the image propose the plane through their medians; the cheapest proposal is refined by
+    least squares over the pixels near it. Deterministic; up to half of the pixels may see something nearer.
     """
-    valid = np.flatnonzero(why.ravel() == 0)
-    chosen = valid[:: max(1, len(valid) // _FIT_PIXELS)]
-    if len(chosen) < _FIT_LEAST:
-        return np.zeros(3)
+    seen = np.flatnonzero(why.ravel() == 0)
+    chosen = seen[:: max(1, len(seen) // _FIT_PIXELS)]
     ray = rays(lens, why.shape).reshape(-1, 3)[chosen]
     inverse = 1 / range_m.ravel()[chosen].astype(float)
-    weight = np.ones(len(chosen))
-    for _ in range(_FIT_ROUNDS):
-        weighted = ray * weight[:, None]
-        plane: Floats = np.linalg.lstsq(weighted.T @ ray, weighted.T @ inverse, rcond=None)[0]
-        residual = inverse - ray @ plane
-        pull = np.where(residual > 0, _FIT_QUANTILE, 1 - _FIT_QUANTILE)  # objects are nearer: larger 1/range
-        weight = pull / np.maximum(np.abs(residual), _FIT_SMALL * np.median(inverse))
+    proposals = _proposed_planes(ray, inverse, chosen, why.shape)
+    if len(proposals) == 0:
+        return np.zeros(3)
+    band = _FIT_BAND * np.median(inverse)
+    nearer = inverse - proposals @ ray.T
+    cost = np.where(nearer < -band, _FIT_BEHIND * band, np.minimum(np.abs(nearer), band)).sum(axis=1)
+    plane: Floats = proposals[np.argmin(cost)]
+    for _ in range(3):
+        near = np.abs(inverse - ray @ plane) < band
+        plane = np.linalg.lstsq(ray[near], inverse[near], rcond=None)[0]
     return plane
 
 
-_FIT_PIXELS, _FIT_LEAST, _FIT_ROUNDS = 1000, 20, 25
-_FIT_QUANTILE, _FIT_SMALL = 0.3, 1e-3
+_FIT_PIXELS, _FIT_PARTS, _FIT_LEAST = 600, (3, 4), 4
+_FIT_BAND = 0.1  # of the distance, as near to a plane as a pixel that may belong to it
+_FIT_BEHIND = 3.0  # a pixel behind a plane says more against it than one before it
+
+
+def _proposed_planes(ray: Floats, inverse: Floats, pixels: Ints, shape: tuple[int, int]) -> Floats:
+    """Return the planes (M, 3) through the median 1/range of each three parts of the image that see enough."""
+    rows, columns = np.unravel_index(pixels, shape)
+    part = rows * _FIT_PARTS[0] // shape[0] * _FIT_PARTS[1] + columns * _FIT_PARTS[1] // shape[1]
+    members = [np.flatnonzero(part == k) for k in range(_FIT_PARTS[0] * _FIT_PARTS[1])]
+    members = [inside for inside in members if len(inside) >= _FIT_LEAST]
+    triples = np.array(list(combinations(range(len(members)), 3)), int).reshape(-1, 3)
+    if len(triples) == 0:
+        return np.empty((0, 3))
+    # per part, 1/range over the mean ray; the median stands for the part as a whole
+    directions = np.stack([ray[inside].mean(axis=0) for inside in members])[triples]
+    medians = np.array([np.median(inverse[inside]) for inside in members])[triples]
+    apart = np.abs(np.linalg.det(directions)) > _FIT_LINE
+    planes: Floats = np.linalg.solve(directions[apart], medians[apart][..., None])[..., 0]
+    return planes
+
+
+_FIT_LINE = 1e-4  # volume that three directions must span, else they lie in one line of the image
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,500 @@
+"""Cleaning: what is refused, why, and how sigma stays true."""
+
+import itertools
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.ndimage import median_filter
+from scipy.stats import norm
+
+from rangecam.clean import STAGES, CleanSettings, clean, clean_stages
+from rangecam.clean.filters import _smooth, smooth
+from rangecam.clean.limits import area_of_interest, fit_floor, reference_amplitude
+from rangecam.config import load_config
+from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
+from rangecam.types import RangeImage, Why
+
+WIDE = Lens(horizontal_fov_deg=80, vertical_fov_deg=60, projection="equiangular")
+LENS = Lens(horizontal_fov_deg=50)
+LEVEL = Mounting()
+OFF = {"min_neighbours": 0, "median": "off"}
+
+
+def image(range_m, sigma_m=0.01, amplitude=100.0, why=None):
+    range_m = np.atleast_2d(np.asarray(range_m, np.float32))
+    full = [np.broadcast_to(np.float32(plane), range_m.shape).copy() for plane in (sigma_m, amplitude)]
+    why = np.zeros(range_m.shape, np.uint8) if why is None else np.asarray(why, np.uint8)
+    return RangeImage(3.0, range_m, *full, why)
+
+
+def cleaned(source, lens=LENS, mounting=LEVEL, **changes):
+    return clean(source, lens, mounting, CleanSettings(**changes))
+
+
+def reasons(result):
+    return [[Why(code).name for code in row] for row in result.why]
+
+
+def wall(shape, range_m=3.0, sigma_m=0.02, seed=0):
+    return image(range_m + sigma_m * np.random.default_rng(seed).standard_normal(shape), sigma_m)
+
+
+# --- amplitude
+
+
+def test_reference_amplitude_is_that_of_the_appendix():
+    # N-S-028: rows and columns off the centre (59, 79) in steps of half a degree
+    def at(row, column):
+        angles = np.radians(0.5 * np.abs([column - 79.0, row - 59.0]))
+        return float(reference_amplitude(*angles, CleanSettings()))
+
+    assert at(59, 79) == pytest.approx(145.00, abs=0.005)
+    assert at(0, 79) == pytest.approx(61.08, abs=0.005)
+    assert at(59, 0) == pytest.approx(31.99, abs=0.005)
+    assert at(0, 0) == pytest.approx(18.32, abs=0.005)
+    assert at(119, 159) == pytest.approx(17.64, abs=0.005)
+
+
+def test_reference_amplitude_has_a_level_a_floor_and_a_falloff():
+    angle = np.radians(60.0)
+    flat = CleanSettings(reference_amplitude=200.0, reference_floor=0.25, reference_falloff=0.0)
+    assert reference_amplitude(angle, 0.0, flat) == pytest.approx(200)
+    steep = CleanSettings(reference_amplitude=200.0, reference_floor=0.25, reference_falloff=2.0)
+    assert reference_amplitude(angle, 0.0, steep) == pytest.approx(200 * (0.25 + 0.75 / 4))
+
+
+def test_white_plane_passes_up_to_the_range_where_its_light_falls_below_the_first_threshold():
+    # N-S-054: rho / z^2 > c_th1; rho = 0.3 at 4 m needs c_th1 < 0.0187
+    for threshold, passes in ((0.0185, True), (0.0190, False)):
+        seen = cleaned(image([[4.0]], amplitude=145 * 0.3 / 16), Lens(horizontal_fov_deg=1.0),
+                       amplitude_threshold=threshold, **OFF)  # fmt: skip
+        assert seen.valid.all() == passes
+        assert passes or seen.why[0, 0] == Why.LOW_AMPLITUDE
+
+
+def test_amplitude_threshold_follows_the_vignetting():
+    shape = (120, 160)
+    ray = rays(WIDE, shape)
+    azimuth, elevation = np.arctan2(ray[..., 1], ray[..., 0]), np.arcsin(ray[..., 2])
+    grey = 0.3 * reference_amplitude(azimuth, elevation, CleanSettings())
+    for threshold, valid in ((0.299, True), (0.301, False)):
+        assert (
+            cleaned(image(np.ones(shape), amplitude=grey), WIDE, amplitude_threshold=threshold, **OFF).valid == valid
+        ).all()
+
+
+def test_wrapped_objects_send_too_little_light_for_their_range():
+    # N-S-036: white at 8.8235 m + x reads x; A x^2 against white
+    unambiguous = 3e8 / 2 / 17e6
+    lens = Lens(horizontal_fov_deg=0.1)
+    for x, relative in ((0.5, 0.0029), (1, 0.0104), (2, 0.0341), (3, 0.0644), (4, 0.0973), (5, 0.1308)):
+        source = image([[x]], amplitude=145 / (unambiguous + x) ** 2)
+        assert cleaned(source, lens, wrap_threshold=relative * 1.02, **OFF).why[0, 0] == Why.WRAPPED
+        assert cleaned(source, lens, wrap_threshold=relative * 0.98, **OFF).valid.all()
+
+
+def test_wrap_threshold_counts_the_depth_so_that_a_plane_passes_or_fails_as_a_whole():
+    # N-S-048, E-S-22: the radial distance would be 2.04 times off in the corner
+    shape = (120, 160)
+    ray = rays(WIDE, shape)
+    azimuth, elevation = np.arctan2(ray[..., 1], ray[..., 0]), np.arcsin(ray[..., 2])
+    depth = 2.0
+    amplitude = 0.5 * reference_amplitude(azimuth, elevation, CleanSettings()) / depth**2
+    source = image(depth / ray[..., 0], amplitude=amplitude)
+    assert cleaned(source, WIDE, wrap_threshold=0.499, **OFF).valid.all()
+    assert (cleaned(source, WIDE, wrap_threshold=0.501, **OFF).why == Why.WRAPPED).all()
+
+
+def test_unknown_amplitude_passes_every_threshold():
+    source = image(np.ones((3, 3)), amplitude=np.nan)
+    assert cleaned(source, amplitude_threshold=0.5, wrap_threshold=0.5, **OFF).valid.all()
+
+
+# --- common neighbours
+
+
+def common_neighbours(range_m, valid, tolerance):
+    """Eqs 2.8-2.9 of Steinbäck 2016 in plain loops."""
+    count = np.zeros(range_m.shape, int)
+    for (i, j), value in np.ndenumerate(range_m):
+        for k, m in itertools.product((-1, 0, 1), repeat=2):
+            inside = 0 <= i + k < range_m.shape[0] and 0 <= j + m < range_m.shape[1]
+            if (k, m) != (0, 0) and inside and valid[i + k, j + m]:
+                count[i, j] += abs(range_m[i + k, j + m] - value) <= tolerance
+    return count
+
+
+@given(st.integers(0, 8), st.floats(0, 0.5), st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_pixels_with_too_few_common_neighbours_are_isolated(needed, tolerance, seed):
+    rng = np.random.default_rng(seed)
+    range_m = rng.uniform(1, 2, (7, 9)).astype(np.float32)
+    why = np.where(rng.random((7, 9)) < 0.2, Why.NO_SIGNAL, 0)
+    result = cleaned(image(range_m, why=why), median="off", min_neighbours=needed,
+                     neighbour_tolerance_m=tolerance, neighbour_tolerance_sigmas=0.0)  # fmt: skip
+    count = common_neighbours(range_m.astype(float), why == 0, tolerance)
+    inner = np.s_[1:-1, 1:-1]
+    expected = np.where(why != 0, why, np.where(count < needed, Why.ISOLATED, 0))
+    assert_array_equal(result.why[inner], expected[inner])
+
+
+def test_pixels_at_the_border_need_the_same_share_of_the_neighbours_they_have():
+    def left(needed):
+        return cleaned(image(np.ones((3, 3))), median="off", min_neighbours=needed).valid
+
+    assert left(8).all()  # 8 of 8, 5 of 5, 3 of 3
+    lonely = image([[1.0, 1.0, 5.0], [1.0, 5.0, 5.0], [5.0, 5.0, 5.0]])
+    result = cleaned(lonely, median="off", min_neighbours=5)
+    assert result.why[0, 0] == Why.VALID  # ceil(5 * 3 / 8) = 2 of its 3
+    assert result.why[0, 1] == Why.ISOLATED  # 2 of its 5, ceil(5 * 5 / 8) = 4
+    assert cleaned(image([[1.0, 1.0, 1.0, 9.0]]), median="off", min_neighbours=4).why[0, -1] == Why.ISOLATED
+
+
+def test_border_can_be_refused_as_a_whole():
+    result = cleaned(image(np.ones((4, 5))), median="off", discard_border=True)
+    assert (result.why[1:-1, 1:-1] == Why.VALID).all()
+    assert (result.why == Why.BORDER).sum() == 14
+
+
+def test_tolerance_grows_with_the_noise_of_both_pixels():
+    pair = np.array([[2.0, 2.3]])
+    exact = {"median": "off", "min_neighbours": 1, "neighbour_tolerance_m": 0.0, "neighbour_tolerance_sigmas": 3.0}
+    assert cleaned(image(pair, 0.3 / 3 / np.sqrt(2) * 1.01), **exact).valid.all()
+    assert not cleaned(image(pair, 0.3 / 3 / np.sqrt(2) * 0.99), **exact).valid.any()
+
+
+def test_neighbours_below_the_amplitude_threshold_still_count_as_the_image_before_thresholding():
+    amplitude = np.full((3, 3), 1.0)
+    amplitude[1, 1] = 100.0
+    result = cleaned(
+        image(np.ones((3, 3)), amplitude=amplitude), median="off", min_neighbours=8, amplitude_threshold=0.1
+    )
+    assert result.why[1, 1] == Why.VALID
+    assert (result.why == Why.LOW_AMPLITUDE).sum() == 8
+
+
+def test_a_pixel_between_two_surfaces_is_isolated():
+    range_m = np.full((9, 9), 2.0)
+    range_m[:, 5:] = 4.0
+    range_m[:, 4] = np.linspace(2.6, 3.4, 9)  # flying pixels of a vertical edge
+    result = cleaned(image(range_m))
+    assert (result.why[:, 4] == Why.ISOLATED).all()
+    assert (np.delete(result.why, 4, axis=1) == 0).all()
+
+
+# --- median
+
+
+def test_network_sorts_every_arrangement_of_zeros_and_ones():
+    """N-S-043: a network that takes the median of all 512 arrangements of 0 and 1 takes it of all values."""
+    around = np.empty((3, 3, 3), np.float32)
+    around[1], around[2] = 10.0, 1.0
+    for bits in itertools.product((0.0, 1.0), repeat=9):
+        around[0] = np.reshape(bits, (3, 3))
+        median, sigma = np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)
+        _smooth(around, np.zeros(9, np.float32), median, sigma)
+        assert median[0, 0] == np.median(bits)
+
+
+@given(st.integers(0, 10_000), st.sampled_from(["3x3", "3x1"]))
+@settings(max_examples=40, deadline=None)
+def test_median_is_the_median_of_the_valid_common_neighbours(seed, window):
+    rng = np.random.default_rng(seed)
+    range_m = np.where(rng.random((6, 7)) < 0.5, 2.0, 2.8) + rng.normal(0, 0.05, (6, 7))
+    range_m, sigma = range_m.astype(np.float32), rng.uniform(0.01, 0.05, (6, 7)).astype(np.float32)
+    valid = rng.random((6, 7)) > 0.3
+    result = cleaned(image(np.where(valid, range_m, 77), sigma, why=np.where(valid, 0, Why.SATURATED)), median=window,
+                     min_neighbours=0, neighbour_tolerance_m=0.2, neighbour_tolerance_sigmas=2.0)  # fmt: skip
+    tall = 1 if window == "3x3" else 0
+    for i, j in np.argwhere(valid):
+        rows, columns = slice(max(i - tall, 0), i + tall + 1), slice(max(j - 1, 0), j + 2)
+        near = valid[rows, columns] & (
+            np.abs(range_m[rows, columns] - range_m[i, j]) <= 0.2 + np.sqrt(2) * (sigma[rows, columns] + sigma[i, j])
+        )
+        assert result.range_m[i, j] == pytest.approx(np.median(range_m[rows, columns][near]), rel=1e-6)
+    assert_array_equal(result.valid, valid)
+    assert_array_equal(result.sigma_m[~valid], sigma[~valid])
+
+
+def test_median_across_edges_is_the_plain_median_of_scipy():
+    range_m = np.random.default_rng(4).uniform(1, 9, (12, 15)).astype(np.float32)
+    result = cleaned(image(range_m), min_neighbours=0, median_across_edges=True)
+    inner = np.s_[1:-1, 1:-1]
+    assert_array_equal(result.range_m[inner], median_filter(range_m, 3)[inner])
+
+
+def test_median_does_not_fill_what_is_invalid():
+    why = np.zeros((5, 5))
+    why[2, 2] = Why.SATURATED
+    result = cleaned(image(np.ones((5, 5)), why=why))
+    assert result.why[2, 2] == Why.SATURATED
+    assert result.valid.sum() == 24
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3, 0.6])
+def test_a_noisy_wall_with_holes_keeps_its_range(missing):
+    """No bias from markers (+28 mm) or lower ranks (-8 mm): below 1 mm at a noise of 100 mm."""
+    rng = np.random.default_rng(5)
+    source = wall((300, 300), sigma_m=0.1, seed=6)
+    why = np.where(rng.random((300, 300)) < missing, Why.LOW_AMPLITUDE, 0)
+    source = image(np.where(why == 0, source.range_m, 12.5), 0.1, why=why)
+    result = cleaned(source, min_neighbours=0)
+    assert abs(result.range_m[result.valid].mean() - 3.0) < 0.001
+
+
+@pytest.mark.parametrize("number", range(1, 10))
+def test_sigma_of_the_median_of_n_values_is_exact(number):
+    """Monte Carlo of the median of n normal values: its standard deviation within 1 % (40,000 draws, 3 sigma)."""
+    rng = np.random.default_rng(number)
+    draws = rng.standard_normal((40_000, number))
+    around = np.full((3, 3, 3), np.nan, np.float32)
+    around[1], around[2] = 100.0, 0.0
+    order = [4, 0, 1, 2, 3, 5, 6, 7, 8][:number]
+    around[0].ravel()[order], around[2].ravel()[order] = 0.0, 1 / 0.03
+    _, sigma = smooth(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), around, CleanSettings())
+    assert sigma[0, 0] / 0.03 == pytest.approx(np.median(draws, axis=1).std(), rel=0.011)
+
+
+def test_sigma_of_a_median_of_unlike_values_is_true_within_a_tenth():
+    rng = np.random.default_rng(9)
+    for spread in (1.5, 2.0, 3.0):
+        sigmas = np.exp(rng.uniform(-np.log(spread), np.log(spread), (200, 9)) / 2) * 0.05
+        found = []
+        for nine in sigmas:
+            around = np.stack([np.zeros((3, 3)), np.full((3, 3), 9.0), 1 / nine.reshape(3, 3)]).astype(np.float32)
+            found.append(
+                smooth(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), around, CleanSettings())[1][0, 0]
+            )
+        true = np.median(rng.standard_normal((4000, 200, 9)) * sigmas, axis=2).std(axis=0)
+        assert np.median(np.array(found) / true) == pytest.approx(1, abs=0.03)
+        assert np.all(np.abs(np.array(found) / true - 1) < 0.12)
+
+
+@pytest.mark.parametrize("changes", [{}, {"median": "3x1"}, {"median": "off"}, {"min_neighbours": 5}])
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_intervals_hold_the_truth_as_often_as_they_say_after_cleaning(changes, missing):
+    """68 % and 95 % within 3 points on a plane, also where sigma differs from pixel to pixel and pixels are missing."""
+    rng, shape = np.random.default_rng(11), (240, 320)
+    truth = 2.0 / rays(LENS, shape)[..., 0]
+    sigma = rng.uniform(0.02, 0.05, shape)
+    why = np.where(rng.random(shape) < missing, Why.NO_SIGNAL, 0)
+    result = cleaned(image(truth + sigma * rng.standard_normal(shape), sigma, why=why), **changes)
+    z = ((result.range_m - truth) / result.sigma_m)[result.valid]
+    assert result.valid.mean() > 0.75 * (1 - missing)
+    assert np.mean(np.abs(z) < 1) == pytest.approx(0.6827, abs=0.03)
+    assert np.mean(np.abs(z) < norm.ppf(0.975)) == pytest.approx(0.95, abs=0.03)
+
+
+def test_intervals_hold_beside_an_edge_on_either_side():
+    """Every pixel lies within one pixel of a step of twenty sigma, where a plain median leans to the other surface."""
+    rng, shape = np.random.default_rng(12), (400, 120)
+    far = np.arange(120) % 4 < 2
+    truth = np.where(far, 3.0, 2.0) * np.ones(shape)
+    source = image(truth + 0.05 * rng.standard_normal(shape), 0.05)
+
+    def scores(**changes):
+        result = cleaned(source, **changes)
+        z = np.where(result.valid, (result.range_m - truth) / result.sigma_m, np.nan)
+        return z[:, 1:-1], far[1:-1]
+
+    z, side = scores()
+    assert np.isfinite(z).all()
+    assert abs(z[:, side].mean()) < 0.07  # four standard deviations of a mean over pixels that share their noise
+    assert abs(z[:, ~side].mean()) < 0.07
+    assert np.mean(np.abs(z) < 1) == pytest.approx(0.6827, abs=0.03)
+    assert np.mean(np.abs(z) < norm.ppf(0.975)) == pytest.approx(0.95, abs=0.03)
+    plain, side = scores(median_across_edges=True)
+    assert plain[:, side].mean() < -1 < 1 < plain[:, ~side].mean()
+
+
+# --- floor
+
+
+def floor_scene(lens, mounting, shape, box_m=2.0):
+    """Range of a flat floor with a wall ahead, and which pixels see the floor."""
+    ray = rays(lens, shape) @ rotation(mounting).T
+    with np.errstate(divide="ignore"):
+        floor = np.where(ray[..., 2] < 0, -mounting.z_m / ray[..., 2], np.inf)
+        ahead = np.where(ray[..., 0] > 0, (box_m - mounting.x_m) / ray[..., 0], np.inf)
+    return np.minimum(floor, ahead), floor < ahead
+
+
+def test_floor_that_the_mounting_implies_is_removed_and_nothing_else():
+    mounting = Mounting(z_m=0.5, pitch_deg=12, roll_deg=5, yaw_deg=10)
+    range_m, floor = floor_scene(WIDE, mounting, (60, 80))
+    height = to_world(image(range_m), WIDE, mounting)[..., 2]
+    result = cleaned(
+        image(range_m), WIDE, mounting, floor="mounting", floor_margin_m=0.1, floor_margin_sigmas=0.0, **OFF
+    )
+    assert floor.any()
+    assert_array_equal(result.why == Why.FLOOR, height < 0.1)
+    raw = cleaned(image(range_m), WIDE, mounting, **OFF)
+    assert raw.valid.all()
+
+
+def test_noise_of_the_floor_is_floor_up_to_the_margin_in_sigmas():
+    mounting = Mounting(z_m=1.0, pitch_deg=40)
+    range_m, floor = floor_scene(LENS, mounting, (90, 120), box_m=50.0)
+    noisy = image(range_m + 0.05 * np.random.default_rng(3).standard_normal(range_m.shape), 0.05)
+    for sigmas in (0.0, 1.0, 2.0):
+        result = cleaned(noisy, LENS, mounting, floor="mounting", floor_margin_m=0.0, floor_margin_sigmas=sigmas, **OFF)
+        assert np.mean(result.why[floor] == Why.FLOOR) == pytest.approx(norm.cdf(sigmas), abs=0.02)
+
+
+def test_a_camera_on_the_floor_sees_no_floor():
+    assert cleaned(image(np.ones((4, 4))), LENS, Mounting(z_m=0.0), floor="mounting", **OFF).valid.all()
+
+
+@pytest.mark.parametrize("covered", [0.0, 0.2, 0.4])
+def test_fitted_floor_is_found_below_objects_that_cover_much_of_it(covered):
+    """A camera that looks down, leaning by 4 degrees which its mounting does not say; boxes 0.5-1.5 m high."""
+    rng, shape = np.random.default_rng(21), (60, 80)
+    lean = Mounting(z_m=2.4, pitch_deg=86, roll_deg=2)
+    down = -(rays(LENS, shape) @ rotation(lean).T)[..., 2]
+    height = np.where(np.arange(80) < 80 * covered, rng.uniform(0.5, 1.5, (60, 1)), 0.0)
+    source = image((lean.z_m - height) / down + 0.02 * rng.standard_normal(shape), 0.02)
+    plane = fit_floor(source.range_m, source.why, LENS)
+    assert 1 / np.linalg.norm(plane) == pytest.approx(2.4, abs=0.03)
+    result = cleaned(source, LENS, Mounting(pitch_deg=90), floor="fit", floor_margin_m=0.2, **OFF)
+    assert np.mean((result.why == Why.FLOOR) == (height == 0)) > 0.99
+
+
+def test_fitted_plane_that_stands_up_is_no_floor():
+    source = image(3 / rays(LENS, (40, 50))[..., 0])
+    tilted = Mounting(pitch_deg=60)  # its floor leans by 30 degrees to the wall
+    assert cleaned(source, LENS, tilted, floor="fit", **OFF).valid.all()
+    removed = cleaned(source, LENS, tilted, floor="fit", floor_max_tilt_deg=70.0, **OFF).why == Why.FLOOR
+    assert removed.mean() > 0.99
+
+
+def test_too_few_pixels_are_no_floor():
+    why = np.full((10, 10), Why.NO_SIGNAL)
+    why[0, :5] = 0
+    source = image(np.full((10, 10), 2.0), why=why)
+    assert_array_equal(fit_floor(source.range_m, source.why, LENS), 0)
+    assert cleaned(source, LENS, Mounting(pitch_deg=90), floor="fit", **OFF).valid.sum() == 5
+
+
+# --- area of interest
+
+
+BOX = {"x_min_m": 0.5, "x_max_m": 4.0, "width_m": 1.2, "z_min_m": 0.1, "z_max_m": 1.5}
+
+
+@pytest.mark.parametrize(
+    "mounting", [Mounting(z_m=0.8), Mounting(x_m=1.0, y_m=0.2, z_m=1.0, pitch_deg=15, yaw_deg=-20)]
+)
+@pytest.mark.parametrize("left_out", [None, *BOX])
+def test_area_of_interest_keeps_the_points_inside_the_box_and_no_others(mounting, left_out):
+    box = {key: value for key, value in BOX.items() if key != left_out}
+    range_m = np.random.default_rng(8).uniform(0.05, 6, (60, 80))
+    x, y, z = np.moveaxis(to_world(image(range_m), WIDE, mounting).astype(float), -1, 0)
+    inside = (x >= box.get("x_min_m", -np.inf)) & (x <= box.get("x_max_m", np.inf))
+    inside &= np.abs(y) <= box.get("width_m", np.inf) / 2
+    inside &= (z >= box.get("z_min_m", -np.inf)) & (z <= box.get("z_max_m", np.inf))
+    result = cleaned(image(range_m), WIDE, mounting, **box, **OFF)
+    assert 0 < inside.mean() < 1
+    assert np.mean(result.valid == inside) > 0.9999  # a point on a face may round either way
+    assert set(np.unique(result.why)) == {Why.VALID, Why.OUTSIDE_AREA}
+
+
+def test_area_is_as_wide_on_the_right_as_on_the_left():
+    # E-S-05: the printed form without the absolute value keeps one side whole
+    result = cleaned(image(np.full((1, 80), 2.0)), WIDE, width_m=1.0, **OFF)
+    assert_array_equal(result.valid, result.valid[:, ::-1])
+    assert not result.valid[0, 0]
+
+
+def test_a_ray_along_a_face_is_inside_for_ever_or_never():
+    level = Lens(horizontal_fov_deg=10)
+    for z_max, inside in ((0.1, True), (-0.1, False)):
+        near, far = area_of_interest(level, Mounting(), (1, 1), CleanSettings(z_min_m=-0.2, z_max_m=z_max))
+        assert (near[0, 0] <= 5.0 <= far[0, 0]) == inside
+
+
+# --- the whole
+
+
+def test_first_reason_stands():
+    amplitude = [[0.1, 100.0, 100.0]]
+    why = [[Why.SATURATED, 0, 0]]
+    result = cleaned(image([[9.0, 5.0, 1.0]], amplitude=amplitude, why=why), amplitude_threshold=0.1, x_max_m=3.0)
+    assert reasons(result) == [["SATURATED", "ISOLATED", "ISOLATED"]]
+
+
+def test_stages_end_with_the_clean_image_and_only_take_away():
+    config = load_config("scaled_car")
+    range_m, _ = floor_scene(config.camera.lens, config.mounting, (120, 160))
+    source = image(range_m + 0.02 * np.random.default_rng(0).standard_normal(range_m.shape), 0.02, 20.0)
+    stages = list(clean_stages(source, config.camera.lens, config.mounting, config.clean))
+    assert tuple(name for name, _ in stages) == STAGES
+    final = clean(source, config.camera.lens, config.mounting, config.clean)
+    for name in ("range_m", "sigma_m", "amplitude", "why"):
+        assert_array_equal(getattr(stages[-1][1], name), getattr(final, name))
+    valid = [source.valid.sum()] + [stage.valid.sum() for _, stage in stages]
+    assert valid == sorted(valid, reverse=True)
+    assert valid[-1] < valid[0]
+
+
+def test_everything_off_changes_nothing():
+    source = wall((8, 9))
+    result = cleaned(source, **OFF)
+    for name in ("range_m", "sigma_m", "amplitude", "why"):
+        assert_array_equal(getattr(result, name), getattr(source, name))
+    assert result.time_s == source.time_s
+
+
+def test_the_image_that_came_in_stays_as_it_was():
+    source = wall((8, 9))
+    before = source.range_m.copy(), source.sigma_m.copy(), source.why.copy()
+    cleaned(source, LENS, Mounting(z_m=1.0), floor="mounting", amplitude_threshold=0.9)
+    for old, new in zip(before, (source.range_m, source.sigma_m, source.why), strict=True):
+        assert_array_equal(old, new)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 64), (8, 1), (3, 2)])
+def test_small_images_pass_through_every_stage(shape):
+    changes = {"floor": "fit", "median": "3x3", "min_neighbours": 0, "x_max_m": 9.0, "discard_border": False}
+    assert cleaned(image(np.full(shape, 2.0)), **changes).valid.all()
+
+
+def test_invalid_pixels_may_hold_anything():
+    why = np.zeros((5, 5))
+    why[2] = Why.NO_SIGNAL
+    source = image(np.full((5, 5), 2.0), why=why)
+    for value in (np.nan, np.inf, -5.0, 1e30):
+        source.range_m[2], source.sigma_m[2], source.amplitude[2] = value, value, value
+        result = cleaned(source, LENS, Mounting(z_m=1.0), floor="mounting", wrap_threshold=0.01, x_max_m=9.0)
+        assert (result.why[[0, 1, 3, 4]] == 0).all()
+        assert_allclose(result.range_m[[0, 1, 3, 4]], 2.0)
+        assert np.isfinite(result.sigma_m[[0, 1, 3, 4]]).all()
+
+
+# --- real cameras
+
+DATA = Path(os.environ.get("RANGECAM_DATA", ""))
+
+
+@pytest.mark.skipif(not (DATA / "adtf3175").is_dir(), reason="RANGECAM_DATA does not name a folder with adtf3175")
+def test_cleaning_a_real_room_leaves_smooth_surfaces():
+    """Of an ADTF3175's image: neighbours differ by more than 10 cm in one pair of a thousand at most, at edges."""
+    from rangecam.processed import processed
+    from rangecam.types import RawFrame
+
+    recorded, config = np.load(DATA / "adtf3175" / "person_mode2.npz"), load_config("adtf3175")
+    planes = {"depth_m": recorded["depth_mm"] / 1000, "amplitude": recorded["ab"] * 1.0, "confidence": recorded["conf"]}
+    image_in = processed(RawFrame(0.0, planes), config.camera)
+    result = clean(image_in, config.camera.lens, config.mounting, config.clean)
+
+    def jumps(one):
+        pair = one.valid[:, 1:] & one.valid[:, :-1]
+        return np.mean(np.abs(np.diff(one.range_m, axis=1))[pair] > 0.1)
+
+    assert result.valid.mean() > 0.5
+    assert jumps(result) < 0.2 * jumps(image_in)
+    assert jumps(result) < 0.002
