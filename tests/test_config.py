@@ -1,5 +1,8 @@
 """Configuration: layers, round trip, and errors that name the key, the value and what is allowed."""
 
+import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -84,3 +87,17 @@ def test_a_configuration_file_that_is_missing_or_no_toml_is_named(tmp_path: Path
     broken.write_bytes(b"\xff\xfe")
     with pytest.raises(UsageError, match="not a TOML file"):
         read_toml(broken)
+
+
+def test_equal_settings_hash_alike_in_every_process() -> None:
+    config = load_config("usercams")
+    assert hash(config) == hash(load_config("usercams"))
+    assert hash(config) != hash(load_config("scaled_car"))
+    copy = pickle.loads(pickle.dumps(config))
+    assert copy == config
+    code = (
+        "import pickle, sys; from rangecam.config import load_config;"
+        "config = pickle.load(sys.stdin.buffer); print(hash(config) == hash(load_config('usercams')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(config), capture_output=True, check=True)
+    assert done.stdout.strip() == b"True"

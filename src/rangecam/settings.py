@@ -20,7 +20,25 @@ NonNegativeInt = Annotated[int, Ge(0)]
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def settings(cls: type[T]) -> type[T]:
-    """Make `cls` a frozen, keyword-only, hashable dataclass whose unknown keys and impossible values are errors."""
+    """Make `cls` a frozen, keyword-only, hashable dataclass whose unknown keys and impossible values are errors.
+
+    Settings are the keys of caches that every frame asks, so an instance computes its hash once.
+    """
     rules: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True, "allow_inf_nan": False}
     cls.__pydantic_config__ = rules  # type: ignore[attr-defined]  # read by pydantic in config.py only
-    return dataclass(frozen=True, kw_only=True)(cls)
+    made: Any = dataclass(frozen=True, kw_only=True)(cls)
+    of_fields = made.__hash__
+
+    def once(self: Any) -> int:
+        try:
+            known: int = self.__dict__["_hash"]
+        except KeyError:
+            known = self.__dict__["_hash"] = of_fields(self)
+        return known
+
+    def without_hash(self: Any) -> dict[str, Any]:  # strings hash differently in another process
+        return {key: value for key, value in self.__dict__.items() if key != "_hash"}
+
+    made.__hash__, made.__getstate__ = once, without_hash
+    finished: type[T] = made
+    return finished

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -9,7 +10,7 @@ from numba import njit
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import metres_per_radian, sample_variance
 from rangecam.errors import DataError
-from rangecam.types import Image, RangeImage, RawFrame, Why
+from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
 
 PLANES = ("phase_0", "phase_90", "phase_180", "phase_270")
 
@@ -38,11 +39,22 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     c0, c90, c180, c270 = (_samples(raw, name) for name in PLANES)
     range_m, sigma_m, amplitude = (np.empty(c0.shape, np.float32) for _ in range(3))
     why = np.empty(c0.shape, np.uint8)
+    c0, c90, c180, c270 = (c.ravel() for c in (c0, c90, c180, c270))
+    _four_phase(
+        c0, c90, c180, c270, _kernel_settings(camera), range_m.ravel(), sigma_m.ravel(), amplitude.ravel(), why.ravel()
+    )
+    why[: camera.pseudo_rows] = Why.SENSOR_FLAG
+    return RangeImage(raw.time_s, range_m, sigma_m, amplitude, why)
+
+
+@lru_cache(maxsize=8)
+def _kernel_settings(camera: CwCamera) -> Floats:
+    """Return what the kernel needs of the camera, in its order."""
     metres_per_rad = metres_per_radian(camera)
     single_ended = camera.pixel == "single_ended"
     known_light = 0.0 if single_ended else camera.ambient_lsb
     floor_variance = float(sample_variance(known_light, camera)) + camera.quantisation_lsb**2 / 12
-    settings = np.array(
+    return np.array(
         [
             camera.phase_sign,
             camera.offset_m / metres_per_rad,
@@ -58,10 +70,6 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
         ],
         np.float32,
     )
-    c0, c90, c180, c270 = (c.ravel() for c in (c0, c90, c180, c270))
-    _four_phase(c0, c90, c180, c270, settings, range_m.ravel(), sigma_m.ravel(), amplitude.ravel(), why.ravel())
-    why[: camera.pseudo_rows] = Why.SENSOR_FLAG
-    return RangeImage(raw.time_s, range_m, sigma_m, amplitude, why)
 
 
 def _samples(raw: RawFrame, name: str) -> Image:
