@@ -44,6 +44,9 @@ def predict_collisions(tracks: Tracks, ego: Ego, settings: CorridorSettings) -> 
     return Collisions(*new)
 
 
+_NEVER = 1e-9  # closing rate, 1/s: what takes decades to come does not come
+
+
 @njit(cache=True, nogil=True)
 def time_to_reach(distance_m: float, speed_mps: float, acceleration_mps2: float) -> float:
     """Return the smallest t >= 0 with distance + speed t + acceleration t^2 / 2 <= 0, inf if there is none (E-K-24)."""
@@ -53,7 +56,7 @@ def time_to_reach(distance_m: float, speed_mps: float, acceleration_mps2: float)
     if discriminant < 0:
         return math.inf
     denominator = math.sqrt(discriminant) - speed_mps  # this form of the root needs no case for acceleration 0
-    return 2 * distance_m / denominator if denominator > 0 else math.inf
+    return 2 * distance_m / denominator if denominator > _NEVER * distance_m else math.inf
 
 
 @njit(cache=True, nogil=True)

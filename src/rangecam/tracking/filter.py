@@ -73,7 +73,7 @@ def _gate(x: Floats, P: Floats, measured: tuple[Floats, Floats, float], gate: fl
             cost[i, j] = NO_PAIR
             for a in range(3):
                 variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2
-                if not (z[j, a] - x[i, 3 * a]) ** 2 <= gate * variance:  # or not a number
+                if not (z[j, a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:  # or not a number
                     break
             else:
                 _innovation_covariance(x[i], P[i], R[j], time_variance, S)
