@@ -368,6 +368,20 @@ def test_frames_behind_a_damaged_one_are_not_lost(whole: Whole) -> None:
     assert [key(capture) for capture in read(folder / "repaired.mcap")] == [keys[0], keys[1], keys[3]]
 
 
+def test_a_frame_that_vanished_without_a_trace_is_missed(whole: Whole) -> None:
+    folder, content, keys, ends = whole
+    damaged = bytearray(content)
+    start = content.index(b"zstd", ends[1]) - 8 - 8 - 8 - 4 - 4 - 9
+    assert damaged[start] == 6  # a chunk
+    damaged[start] = 0x70  # a record that readers pass over
+    path = folder / "vanished.mcap"
+    path.write_bytes(damaged)
+    with pytest.raises(DataError, match="3 of 4 frames"):
+        read(path)
+    assert repair(path, folder / "found.mcap") == 3
+    assert [key(capture) for capture in read(folder / "found.mcap")] == [keys[0], keys[1], keys[3]]
+
+
 def test_repair_keeps_every_message_settings_and_index(whole: Whole) -> None:
     folder, content, _, ends = whole
     (folder / "half.mcap").write_bytes(content[: ends[1] + 7])

@@ -177,7 +177,7 @@ def open_recording(path: Path) -> Content:
         kind=settings["camera"].get("kind"),
         preset=facts["preset"],
         settings=settings,
-        captures=lambda _: _captures(path, whole=not notes),
+        captures=lambda _: _captures(path, None if notes else n_frames),
         n_frames=lambda _: n_frames,
         notes=notes,
     )
@@ -331,8 +331,11 @@ def _is_complete(entries: list[_Entry]) -> bool:
     return topics == [entry.channel.topic for entry in others]
 
 
-def _captures(path: Path, whole: bool) -> Iterator[Capture]:
-    """Yield the capture of each complete frame; raises DataError at damage in a file that seemed `whole`."""
+def _captures(path: Path, indexed: int | None) -> Iterator[Capture]:
+    """Yield the capture of each complete frame.
+
+    indexed: the number of frames in a file that seemed whole; raises DataError if they are not all there.
+    """
     n = 0
     for entries in _frames(path):
         if entries is not None:
@@ -341,5 +344,7 @@ def _captures(path: Path, whole: bool) -> Iterator[Capture]:
             except DataError as error:
                 raise DataError(f"{path}: frame {n}: {error}") from error
             n += 1
-        elif whole:
+        elif indexed is not None:
             raise DataError(f"{path}: damaged after {n} frames; rangecam repair copies the ones that are not")
+    if indexed not in (None, n):
+        raise DataError(f"{path}: damaged: {n} of {indexed} frames found; rangecam repair makes a whole file of them")
