@@ -127,7 +127,7 @@ def record_settings(path: Path, monkeypatch: pytest.MonkeyPatch, **changes: Any)
     """Write a recording whose settings are changed, as another version of rangecam might have done."""
     config = load_config("generic_cw")
     changed = {**tree(config), **changes}
-    monkeypatch.setattr("rangecam.io.recording.tree", lambda _: changed)
+    monkeypatch.setattr("rangecam.io.recorder.tree", lambda _: changed)
     with Recorder(path, config) as recorder:
         recorder.write(Capture(RawFrame(0.0, {"phase_0": np.zeros((2, 3))})))
     return path

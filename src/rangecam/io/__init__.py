@@ -2,7 +2,8 @@
 
 from rangecam.io.content import Captures, Source
 from rangecam.io.exports import ImagesWriter, TracksWriter
-from rangecam.io.recording import Recorder, repair
+from rangecam.io.recorder import Recorder
+from rangecam.io.recording import repair
 from rangecam.io.sources import open_source
 
 __all__ = ["Captures", "ImagesWriter", "Recorder", "Source", "TracksWriter", "open_source", "repair"]
