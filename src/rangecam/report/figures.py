@@ -335,13 +335,18 @@ def _show_segments(ax: Axes, frame: Frame, aspect: float) -> None:
     inside = frame.labels > 0
     picture[inside] = colours[(frame.labels[inside] - 1) % len(PALETTE)]
     ax.imshow(picture, aspect=aspect, interpolation="nearest")
-    for segment in frame.segments:
+    largest = sorted(frame.segments, key=lambda segment: -segment.n_pixels)[:6]  # more would hide each other
+    for segment in largest:
         top, left, bottom, right = segment.box
         ax.add_patch(
             Rectangle((left - 0.5, top - 0.5), right - left, bottom - top, fill=False, edgecolor=INK, linewidth=1)
         )
         ax.text(left, top - 1, f"{segment.range_m:.2f} m", fontsize=8, va="bottom")
-    ax.set(title=f"{len(frame.segments)} segments", xticks=[], yticks=[])
+    ax.set(title=_count(len(frame.segments), "segment"), xticks=[], yticks=[])
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _ellipse(ax: Axes, centre: Floats, covariance: Floats) -> None:
