@@ -91,7 +91,7 @@ def fit_floor(range_m: Floats, why: Ints, lens: Lens) -> Floats:
     three of a dozen parts of the image propose the plane through their medians; the cheapest proposal is refined by
     least squares over the pixels near it. Deterministic; up to half of the pixels may see something nearer.
     """
-    seen = np.flatnonzero(why.ravel() == 0)
+    seen = np.flatnonzero((why.ravel() == 0) & (range_m.ravel() > 0))
     chosen = seen[:: max(1, len(seen) // _FIT_PIXELS)]
     ray = rays(lens, why.shape).reshape(-1, 3)[chosen]
     inverse = 1 / range_m.ravel()[chosen].astype(float)
@@ -108,7 +108,7 @@ def fit_floor(range_m: Floats, why: Ints, lens: Lens) -> Floats:
     return plane
 
 
-_FIT_PIXELS, _FIT_PARTS, _FIT_LEAST = 600, (3, 4), 4
+_FIT_PIXELS, _FIT_PARTS, _FIT_LEAST = 300, (3, 4), 4
 _FIT_BAND = 0.1  # of the distance, as near to a plane as a pixel that may belong to it
 _FIT_BEHIND = 3.0  # a pixel behind a plane says more against it than one before it
 

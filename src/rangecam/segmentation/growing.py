@@ -12,17 +12,16 @@ def region_growing(image: RangeImage, points: Floats, settings: SegmentSettings)
 
     The image is scanned from its first corner; each valid pixel without an object starts one, which takes in the
     neighbours of its pixels, first come first looked at, as long as |range - mean range| stays below a threshold
-    (König 2008, 6.3; the mean runs as in eq 6.11). Labels 1..N in the order of the scan.
+    (König 2008, 6.3; the mean runs as in eq 6.11). Labels 1..N in the order of the scan. The points are not needed.
     """
+    height, width = image.shape
+    row = width + 2
+    steps = np.array((1, row, -1, -row, row + 1, row - 1, -row - 1, -row + 1)[: settings.connectivity], np.int32)
+    labels = np.empty((height, width), np.int32)
     range_m, sigma_m = (np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m))
-    labels = np.empty(image.shape, np.int32)
-    steps = _STEPS[: settings.connectivity]
     thresholds = settings.growing_threshold_m, settings.growing_threshold_sigmas, settings.growing_step_m
-    _grow((range_m, sigma_m, image.why), steps, thresholds, settings.min_pixels, labels)
+    _grow((range_m, sigma_m, np.ascontiguousarray(image.why)), steps, thresholds, settings.min_pixels, labels)
     return labels
-
-
-_STEPS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)])
 
 
 @njit(cache=True, nogil=True)
@@ -33,35 +32,54 @@ def _grow(
     min_pixels: int,
     labels: Ints,
 ) -> None:
+    """Work on flat copies with a rim of background, in which every neighbour is one fixed step away."""
     range_m, sigma_m, why = planes
-    absolute, per_sigma, step = thresholds
     height, width = labels.shape
-    for row in range(height):
-        for column in range(width):
-            labels[row, column] = -1 if why[row, column] == 0 else 0  # -1: valid, without an object yet
+    row = width + 2
+    label_of = np.zeros((height + 2) * row, np.int32)
+    value, reach = np.empty(len(label_of), np.float32), np.empty(len(label_of), np.float32)
+    for y in range(height):
+        first = (y + 1) * row + 1
+        for x in range(width):
+            label_of[first + x] = -1 if why[y, x] == 0 else 0  # -1: valid, without an object yet
+            value[first + x] = range_m[y, x]
+            reach[first + x] = thresholds[0] + thresholds[1] * sigma_m[y, x]
     members = np.empty(height * width, np.int32)
-    label = 0
-    for start in range(height * width):
-        if labels[start // width, start % width] != -1:
-            continue
-        label += 1
-        labels[start // width, start % width] = label
-        members[0], count, done = start, 1, 0
-        mean = float(range_m[start // width, start % width])
-        while done < count:
-            row, column = members[done] // width, members[done] % width
-            done += 1
-            for k in range(len(steps)):
-                i, j = row + steps[k, 0], column + steps[k, 1]
-                if i < 0 or i >= height or j < 0 or j >= width or labels[i, j] != -1:
-                    continue
-                near_mean = abs(range_m[i, j] - mean) < absolute + per_sigma * sigma_m[i, j]
-                if near_mean or abs(range_m[i, j] - range_m[row, column]) < step:
-                    labels[i, j] = label
-                    members[count] = i * width + j
+    label = 1
+    for start in range(row, len(label_of)):
+        if label_of[start] == -1:
+            count = _grow_one(start, label, steps, thresholds[2], (label_of, value, reach), members)
+            if count >= min_pixels:
+                label += 1
+            else:
+                for k in range(count):
+                    label_of[members[k]] = 0
+    for y in range(height):
+        first = (y + 1) * row + 1
+        for x in range(width):
+            labels[y, x] = label_of[first + x]
+
+
+@njit(cache=True, nogil=True)
+def _grow_one(
+    start: int, label: int, steps: Ints, step_m: float, known: tuple[Ints, Floats, Floats], members: Ints
+) -> int:
+    """Give the label to the object that begins at `start`, list its pixels and return their number."""
+    label_of, value, reach = known
+    label_of[start] = label
+    members[0] = start
+    count, done = 1, 0
+    mean = float(value[start])
+    while done < count:
+        pixel = members[done]
+        done += 1
+        for step in steps:
+            other = pixel + step
+            if label_of[other] == -1:
+                near_mean = abs(value[other] - mean) < reach[other]
+                if near_mean or abs(value[other] - value[pixel]) < step_m:
+                    label_of[other] = label
+                    members[count] = other
                     count += 1
-                    mean += (range_m[i, j] - mean) / count  # eq 6.11
-        if count < min_pixels:
-            for k in range(count):
-                labels[members[k] // width, members[k] % width] = 0
-            label -= 1
+                    mean += (value[other] - mean) / count  # eq 6.11
+    return count
