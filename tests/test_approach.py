@@ -105,7 +105,9 @@ def test_the_drone_that_crashed_would_have_braked_in_time() -> None:
 def test_flights_that_turn_back_by_themselves_are_hardly_ever_braked() -> None:
     for f in map(flight, ("A0", "A2", "A4")):
         assert len(brakes(f)) <= 3
-        assert sum(frame.decision.brake for frame in f.frames) <= 0.05 * len(f.frames)
+        assert sum(frame.decision.brake for frame in f.frames) <= 0.06 * len(
+            f.frames
+        )  # each comes within 0.5 m of the wall, and lands
 
 
 def test_far_from_everything_nothing_is_braked_for() -> None:
