@@ -57,7 +57,7 @@ def test_the_ratio_says_how_many_times_faster_we_are() -> None:
 
 
 def test_the_opencv_composition_finds_the_same_cleaned_range() -> None:
-    moment = works._moment("scenario:approach-box", 12)
+    moment = works._moment("scenario:test-scene", 12)
     kept: dict[str, Any] = {}
 
     def keep(stage: str, function: Any, *arguments: Any) -> Any:

@@ -410,9 +410,7 @@ def test_planes_of_other_types_measure_the_same():
 # --- real cameras
 
 DATA = Path(os.environ.get("RANGECAM_DATA", ""))
-needs = pytest.mark.skipif(
-    not (DATA / "terabee_overhead").is_dir(), reason="RANGECAM_DATA does not name the recordings"
-)
+needs = pytest.mark.skipif(not (DATA / "terabee_overhead").is_dir(), reason="RANGECAM_DATA names no recordings")
 
 
 def perceive(planes, preset):

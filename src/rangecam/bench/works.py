@@ -119,7 +119,7 @@ def _cleaned_range(moment: Moment) -> RangeImage:
 
 def _continuous_wave(seconds: float) -> Iterator[Row]:
     for height, width in ((120, 160), (480, 640)):
-        moment = _moment("scenario:approach-box", 12, {"camera": {"rows": height, "columns": width}})
+        moment = _moment("scenario:test-scene", 12, {"camera": {"rows": height, "columns": width}})
         config, planes = moment.config, moment.capture.raw.planes
         if height == 120:
             yield from _stages("scaled_car", moment, seconds)
@@ -171,7 +171,7 @@ def _twenty_segments() -> Segments:
 
 
 def _segmentation(seconds: float) -> Iterator[Row]:
-    moment = _moment("scenario:approach-box", 12)
+    moment = _moment("scenario:test-scene", 12)
     kept: dict[str, Any] = {}
 
     def keep(stage: str, function: Callable[..., Any], *arguments: Any) -> Any:
