@@ -115,18 +115,17 @@ def moment(frame: Frame, ego: Ego) -> Moment:
 
 
 @matplotlib.rc_context(STYLE)
-def images(image: RangeImage, ranged: RangeImage, lens: Lens) -> str:
-    """Draw amplitude, range, sigma and the reasons for invalid pixels."""
-    aspect = _aspect(lens, image.shape)
-    figure, axes = _grid(4, image.shape, aspect)
+def images(ranged: RangeImage, cleaned: RangeImage, lens: Lens) -> str:
+    """Draw amplitude, range and sigma as they came out of ranging, and why pixels were refused there or by cleaning."""
+    aspect = _aspect(lens, ranged.shape)
+    figure, axes = _grid(4, ranged.shape, aspect)
     finite = np.isfinite(ranged.amplitude)
     top = float(np.percentile(ranged.amplitude[finite], 99)) if finite.any() else 1.0
-    _show(
-        figure, axes[0], np.where(finite, ranged.amplitude, np.nan), "Amplitude", aspect, "gray", (0.0, max(top, 1e-9))
-    )
-    _show(figure, axes[1], _masked(image.range_m, image), "Range (m)", aspect, "turbo_r", range_limits(image))
-    _show(figure, axes[2], _masked(image.sigma_m * 1e3, image), "Standard deviation of range (mm)", aspect, "magma")
-    _show_why(axes[3], image, aspect)
+    title = "Amplitude" if finite.any() else "Amplitude: the camera gives none"
+    _show(figure, axes[0], np.where(finite, ranged.amplitude, np.nan), title, aspect, "gray", (0.0, max(top, 1e-9)))
+    _show(figure, axes[1], _masked(ranged.range_m, ranged), "Range (m)", aspect, "turbo_r", range_limits(ranged))
+    _show(figure, axes[2], _masked(ranged.sigma_m * 1e3, ranged), "Standard deviation of range (mm)", aspect, "magma")
+    _show_why(axes[3], cleaned, aspect)
     return _png(figure)
 
 
@@ -207,8 +206,11 @@ def from_above(
 
 
 @matplotlib.rc_context(STYLE)
-def timeline(moments: Sequence[Moment]) -> str:
-    """Draw free way, speeds, time to collision and collision probability over time; braking is shaded."""
+def timeline(moments: Sequence[Moment], margin: float) -> str:
+    """Draw free way, speeds, time to collision and collision probability over time; braking is shaded.
+
+    margin: the multiple of the stopping distance at which the rule begins to brake.
+    """
     columns = {name: np.array([getattr(m, name) for m in moments]) for name in Moment.__dataclass_fields__}
     t = columns["time_s"]
     figure = _figure(10.5, 7.2)
@@ -216,23 +218,26 @@ def timeline(moments: Sequence[Moment]) -> str:
     mark = "o" if len(moments) == 1 else ""
     axes[0].plot(t, columns["distance_m"], marker=mark, color=PALETTE[0], label="free way")
     axes[0].plot(t, columns["stopping_distance_m"], marker=mark, color=RED, label="stopping distance")
+    limit = margin * columns["stopping_distance_m"]
+    axes[0].plot(t, limit, linestyle=":", marker=mark, color=RED, label=f"{margin:g} times that: the rule brakes below")
     axes[0].set(ylabel="m", ylim=(0, None))
     axes[1].plot(t, columns["closing_speed_mps"], marker=mark, color=PALETTE[0], label="closing speed")
     if np.isfinite(columns["ego_speed_mps"]).any():
-        axes[1].plot(t, columns["ego_speed_mps"], marker=mark, color=MUTED, label="own speed")
-    axes[1].set(ylabel="m/s")
-    ttc = columns["ttc_s"]
+        axes[1].plot(t, columns["ego_speed_mps"], linestyle="--", marker=mark, color=INK, label="own speed")
+    fastest = np.nanmax([columns["closing_speed_mps"], columns["ego_speed_mps"]], initial=0.5)
+    axes[1].set(ylabel="m/s", ylim=(0, 1.4 * fastest))
+    ttc = np.where(columns["ttc_s"] <= 10, columns["ttc_s"], np.nan)  # later ones are no news
     spread = np.where(np.isfinite(ttc), 2 * columns["ttc_sigma_s"], np.nan)
     axes[2].fill_between(t, np.clip(ttc - spread, 0, None), ttc + spread, color=PALETTE[3], alpha=0.2, linewidth=0)
     axes[2].plot(t, ttc, marker=mark, color=PALETTE[3], label="time to collision, two standard deviations")
     seen = ttc[np.isfinite(ttc)]
-    axes[2].set(ylabel="s", ylim=(0, 1.15 * min(10.0, seen.max()) if seen.size else 1))
+    axes[2].set(ylabel="s", ylim=(0, 1.15 * seen.max() if seen.size else 1))
     axes[3].plot(t, columns["p_collision"], marker=mark, color=PALETTE[1], label="probability of a collision")
     axes[3].set(ylim=(-0.03, 1.03), xlabel="time (s)")
     for ax in axes:
         _shade(ax, t, columns["brake"])
         ax.grid(visible=True)
-        ax.legend(loc="upper right")
+        ax.legend(loc="best")
     return _png(figure)
 
 
@@ -302,7 +307,7 @@ def _show_why(ax: Axes, image: RangeImage, aspect: float) -> None:
     counts = np.bincount(image.why.ravel(), minlength=len(Why))
     present = [why for why in Why if counts[why]]
     patches = [Patch(facecolor=WHY_COLOURS[why], edgecolor=MUTED, label=_share(why, counts)) for why in present]
-    ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(0, -0.02), ncols=3, fontsize=8, borderaxespad=0)
+    ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(0, -0.02), ncols=2, fontsize=8, borderaxespad=0)
     ax.set(title="Why a pixel is invalid", xticks=[], yticks=[])
 
 

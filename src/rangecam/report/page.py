@@ -15,14 +15,15 @@ from rangecam.types import Capture, Frame, Tracks, TrackStatus
 class Report:
     """Writes the page when it is closed without an error; an error leaves no file behind.
 
-    The frame whose life is shown is the first that braked, else the one with most confirmed tracks, then segments.
+    The frame whose life is shown is the first that braked, else the one with most confirmed tracks, then segments, then
+    pixels in them.
     """
 
     def __init__(self, path: Path | str, config: Config, source: str = "") -> None:
         self._path, self._config, self._source = check_target(path, source), config, source
         self._summary, self._watch = Summary(source, config), Stopwatch()
         self._before = Tracks.empty()
-        self._best: tuple[tuple[int, int, int], Capture, Tracks] | None = None
+        self._best: tuple[tuple[int, int, int, int], Capture, Tracks] | None = None
         self._timeline: list[figures.Moment] = []
         self._trails: dict[int, list[tuple[float, float]]] = {}
         self._classes: dict[int, str] = {}
@@ -31,7 +32,8 @@ class Report:
         """Take in one frame."""
         self._summary.write(capture, frame)
         confirmed = [track for track in frame.tracks if track.status != TrackStatus.TENTATIVE]
-        score = (int(frame.decision.brake), len(confirmed), len(frame.segments))
+        pixels = int(frame.segments.n_pixels.sum())
+        score = (int(frame.decision.brake), len(confirmed), len(frame.segments), pixels)
         if self._best is None or (score > self._best[0] and not self._best[0][0]):
             self._best = score, capture, self._before
         self._before = frame.tracks
@@ -71,9 +73,9 @@ class Report:
         return [
             (
                 f"What the camera measured at {time_s:.2f} s",
-                "Amplitude, radial range, its standard deviation from the noise model, and why each dark pixel is "
-                "dark. Grey pixels are invalid.",
-                figures.images(frame.image, life.before_cleaning(), config.camera.lens),
+                "Amplitude, radial range, its standard deviation from the noise model (grey: no valid range), and why "
+                "pixels are refused, by ranging or by the cleaning that follows.",
+                figures.images(life.before_cleaning(), frame.image, config.camera.lens),
             ),
             (
                 "The life of this frame",
@@ -89,8 +91,8 @@ class Report:
             (
                 "Time to collision and brake",
                 "The track that decides at each moment: free way against stopping distance, speeds, time to collision "
-                "with two standard deviations. Red: the rule demands braking.",
-                figures.timeline(self._timeline),
+                "with two standard deviations. Red: the rule demands braking (here the vehicle does not obey).",
+                figures.timeline(self._timeline, config.decision.margin),
             ),
         ]
 
