@@ -86,6 +86,29 @@ def test_a_frame_without_any_light_gives_no_object_and_no_brake(preset: str) -> 
     assert not frame.decision.brake
 
 
+@pytest.mark.parametrize("scenario", ["test-scene", "crossing-person"])
+def test_after_warming_up_no_frame_compiles_anything(scenario: str) -> None:
+    code = f"""
+import sys, rangecam
+from rangecam.pipeline import run, warm_up
+from numba.core.registry import CPUDispatcher
+def compiled():
+    modules = [m for name, m in list(sys.modules.items()) if name.startswith("rangecam")]
+    kernels = {{id(k): k for m in modules for k in vars(m).values() if isinstance(k, CPUDispatcher)}}
+    return {{k.__name__: len(k.overloads) for k in kernels.values()}}
+source = rangecam.open_source("scenario:{scenario}")
+captures = [capture for capture, _ in zip(source.captures, range(90))]
+warm_up(captures[0], source.config)
+before = compiled()
+frames = list(run(captures, source.config))
+assert max(len(frame.tracks) for frame in frames) > 0
+assert sum(before.values()) > 5
+assert compiled() == before, (before, compiled())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
 def test_sinks_get_every_frame_with_its_capture() -> None:
     class Keep:
         def __init__(self) -> None:

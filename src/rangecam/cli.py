@@ -211,13 +211,11 @@ def _message_if_slow(message: str, after_s: float) -> Iterator[None]:
 
 
 def _warmed_up(opened: "Source", pipeline: Any) -> Iterator[Any]:
-    """Yield the captures, after processing the first one once so that compiling is not taken for latency."""
-    from rangecam.types import Tracks
-
+    """Yield the captures, once the kernels are compiled, so that compiling is not taken for latency."""
     for number, capture in enumerate(opened.captures):
         if number == 0:
             with _message_if_slow("rangecam: compiling kernels (on the first use only) ...", 1.5):
-                pipeline.process_frame(capture.raw, Tracks.empty(), capture.ego, opened.config)
+                pipeline.warm_up(capture, opened.config)
         yield capture
 
 

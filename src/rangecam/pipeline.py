@@ -7,6 +7,8 @@ Read `process_frame` from top to bottom and you have read the system. Everything
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
+import numpy as np
+
 from rangecam import cw, processed, pulsed
 from rangecam.brake import decide
 from rangecam.classify import classify
@@ -41,6 +43,23 @@ def process_frame(raw: RawFrame, tracks: Tracks, ego: Ego, config: Config, step:
     tracks = step("classification", classify, tracks, config.classification)
     decision = step("decision", decide, tracks, ego, config.decision)
     return Frame(raw, image, labels, segments, tracks, decision)
+
+
+def warm_up(capture: Capture, config: Config) -> None:
+    """Compile every kernel that this configuration needs, so that the first object need not wait seconds for it.
+
+    The frame goes through the chain, and then the stages after it get one object, should it hold none.
+    """
+    process_frame(capture.raw, Tracks.empty(), capture.ego, config)
+    lens, shape = config.camera.lens, capture.raw.shape
+    plane = np.full(shape, 2.0, np.float32)
+    image = RangeImage(0.0, plane, plane, plane, np.zeros(shape, np.uint8))
+    points = to_world(image, lens, config.mounting)
+    segments = measure_segments(np.ones(shape, np.int32), points, image, lens, config.mounting, config.segments)
+    tracks = Tracks.empty()
+    for time_s in (0.0, 0.1):
+        tracks = classify(update_tracks(tracks, segments, time_s, config.tracking), config.classification)
+        decide(tracks, capture.ego, config.decision)
 
 
 class Sink(Protocol):
