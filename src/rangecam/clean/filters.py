@@ -42,80 +42,85 @@ def judge(
     common neighbours it must have. Two pixels are common neighbours if their ranges differ by no more than the sum of
     their reaches (Steinbäck 2016, eqs 2.8-2.9, with T_2 = tolerance + k (sigma_i + sigma_j) / sqrt 2, which for equal
     sigmas is k times the sigma of the difference). Only pixels that came in valid are neighbours.
-    The second array (3, H + 2, W + 2) float32 holds range, reach and 1/sigma, with a rim of NaN, 0 and 0.
+    The second array (3, H + 2, W + 2) float32 holds range, reach and 1/sigma of those not refused, else and in its rim
+    NaN, anything and 0.
     """
     height, width = why.shape
-    reason = np.empty((height, width), np.uint8)
-    around = np.empty((3, height + 2, width + 2), np.float32)
+    reason = why.astype(np.uint8)
+    came = np.empty((2, height + 2, width + 2), np.float32)
+    stays = np.empty((3, height + 2, width + 2), np.float32)
     tolerance = np.array([settings.neighbour_tolerance_m / 2, settings.neighbour_tolerance_sigmas / math.sqrt(2)])
-    _spread(planes[0], planes[1], why, tolerance.astype(np.float32), around)
-    _refuse(planes, why, amplitudes, needed, around, reason)
-    _blank(reason, planes[1], around)
-    return reason, around
+    _spread(planes[0], planes[1], why, tolerance.astype(np.float32), came)
+    _refuse(planes, amplitudes, needed, came, stays, reason)
+    return reason, stays
 
 
 @njit(cache=True, nogil=True)
-def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, around: Floats) -> None:
+def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, came: Floats) -> None:
     """Give the image a rim of NaN; invalid pixels are NaN too, so that no comparison with them is true."""
     height, width = range_m.shape
-    for plane, rim in ((0, _NAN), (1, _ZERO), (2, _ZERO)):
-        around[plane, 0, :] = rim
-        around[plane, height + 1, :] = rim
-        around[plane, :, 0] = rim
-        around[plane, :, width + 1] = rim
+    came[:, 0, :] = _NAN
+    came[:, height + 1, :] = _NAN
+    came[:, :, 0] = _NAN
+    came[:, :, width + 1] = _NAN
     for y in range(height):
         for x in range(width):
-            around[0, y + 1, x + 1] = range_m[y, x] if why[y, x] == 0 else _NAN
-            around[1, y + 1, x + 1] = tolerance[0] + tolerance[1] * sigma_m[y, x]
+            came[0, y + 1, x + 1] = range_m[y, x] if why[y, x] == 0 else _NAN
+            came[1, y + 1, x + 1] = tolerance[0] + tolerance[1] * sigma_m[y, x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refuse(
+    planes: tuple[Floats, Floats, Floats],
+    amplitudes: tuple[Floats, Floats],
+    needed: Ints,
+    came: Floats,
+    stays: Floats,
+    reason: Ints,
+) -> None:
+    range_m, sigma_m, amplitude = planes
+    weakest, wrapped = amplitudes
+    stays[0], stays[1], stays[2] = _NAN, came[1], _ZERO
+    common = np.empty(reason.shape[1], np.float32)
+    for y in range(reason.shape[0]):
+        begin, end = _span(came[0, y + 1])
+        r0, r1, r2 = came[0, y, begin:end], came[0, y + 1, begin:end], came[0, y + 2, begin:end]
+        t0, t1, t2 = came[1, y, begin:end], came[1, y + 1, begin:end], came[1, y + 2, begin:end]
+        for x in range(end - begin - 2):
+            value, reach = r1[x + 1], t1[x + 1]
+            number = _common(r0[x], value, reach + t0[x]) + _common(r0[x + 1], value, reach + t0[x + 1])
+            number += _common(r0[x + 2], value, reach + t0[x + 2]) + _common(r1[x], value, reach + t1[x])
+            number += _common(r1[x + 2], value, reach + t1[x + 2]) + _common(r2[x], value, reach + t2[x])
+            number += _common(r2[x + 1], value, reach + t2[x + 1]) + _common(r2[x + 2], value, reach + t2[x + 2])
+            common[x] = number
+        light, least, least_wrapped = amplitude[y, begin:], weakest[y, begin:], wrapped[y, begin:]
+        why, need, distance = reason[y, begin:], needed[y, begin:], range_m[y, begin:]
+        for x in range(end - begin - 2):
+            first = _ISOLATED if common[x] < need[x] else 0
+            first = _BORDER if need[x] == REFUSE else first
+            first = _WRAPPED if light[x] * distance[x] * distance[x] < least_wrapped[x] else first
+            first = _LOW_AMPLITUDE if light[x] < least[x] else first
+            why[x] = why[x] if why[x] != 0 else first
+        kept, weight, sigma = stays[0, y + 1, begin + 1 :], stays[2, y + 1, begin + 1 :], sigma_m[y, begin:]
+        for x in range(end - begin - 2):
+            kept[x] = r1[x + 1] if why[x] == 0 else _NAN
+            weight[x] = _ONE / sigma[x] if why[x] == 0 else _ZERO
 
 
 @njit(cache=True, nogil=True)
-def _refuse(
-    planes: tuple[Floats, Floats, Floats],
-    why: Ints,
-    amplitudes: tuple[Floats, Floats],
-    needed: Ints,
-    around: Floats,
-    reason: Ints,
-) -> None:
-    range_m, _, amplitude = planes
-    weakest, wrapped = amplitudes
-    for y in range(why.shape[0]):
-        r0, r1, r2 = around[0, y], around[0, y + 1], around[0, y + 2]
-        t0, t1, t2 = around[1, y], around[1, y + 1], around[1, y + 2]
-        for x in range(why.shape[1]):
-            value, reach = r1[x + 1], t1[x + 1]
-            common = (
-                _common(r0[x], value, reach + t0[x])
-                + _common(r0[x + 1], value, reach + t0[x + 1])
-                + _common(r0[x + 2], value, reach + t0[x + 2])
-            )
-            common += _common(r1[x], value, reach + t1[x]) + _common(r1[x + 2], value, reach + t1[x + 2])
-            common += (
-                _common(r2[x], value, reach + t2[x])
-                + _common(r2[x + 1], value, reach + t2[x + 1])
-                + _common(r2[x + 2], value, reach + t2[x + 2])
-            )
-            light, need = amplitude[y, x], needed[y, x]
-            first = _ISOLATED if common < need else 0
-            first = _BORDER if need == REFUSE else first
-            first = _WRAPPED if light * range_m[y, x] * range_m[y, x] < wrapped[y, x] else first
-            first = _LOW_AMPLITUDE if light < weakest[y, x] else first
-            reason[y, x] = why[y, x] if why[y, x] != 0 else first
+def _span(row: Floats) -> tuple[int, int]:
+    """Return where a row with a rim begins and ends to matter: values that are not NaN, and one on either side."""
+    begin, end = 0, len(row)
+    while begin + 2 < end and row[begin + 1] != row[begin + 1]:
+        begin += 1
+    while end - 2 > begin and row[end - 2] != row[end - 2]:
+        end -= 1
+    return begin, end
 
 
 @njit(cache=True, nogil=True)
 def _common(other: float, value: float, reach: float) -> Any:
     return _ONE if abs(other - value) <= reach else _ZERO
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _blank(reason: Ints, sigma_m: Floats, around: Floats) -> None:
-    """Leave only the pixels that were not refused to the median: range NaN and 1/sigma 0 elsewhere."""
-    for y in range(reason.shape[0]):
-        for x in range(reason.shape[1]):
-            around[0, y + 1, x + 1] = around[0, y + 1, x + 1] if reason[y, x] == 0 else _NAN
-            around[2, y + 1, x + 1] = _ONE / sigma_m[y, x] if reason[y, x] == 0 else _ZERO
 
 
 def smooth(range_m: Floats, sigma_m: Floats, around: Floats, settings: CleanSettings) -> tuple[Floats, Floats]:
@@ -143,10 +148,12 @@ def _smooth(around: Floats, window: Floats, median: Floats, sigma: Floats) -> No
     middle: place 4, or between 3 and 4 where their number is even, which is where the next turn would be -huge.
     """
     for y in range(median.shape[0]):
-        r0, r1, r2 = around[0, y], around[0, y + 1], around[0, y + 2]
-        t0, t1, t2 = around[1, y], around[1, y + 1], around[1, y + 2]
-        w0, w1, w2 = around[2, y], around[2, y + 1], around[2, y + 2]
-        for x in range(median.shape[1]):
+        begin, end = _span(around[0, y + 1])
+        r0, r1, r2 = around[0, y, begin:end], around[0, y + 1, begin:end], around[0, y + 2, begin:end]
+        t0, t1, t2 = around[1, y, begin:end], around[1, y + 1, begin:end], around[1, y + 2, begin:end]
+        w0, w1, w2 = around[2, y, begin:end], around[2, y + 1, begin:end], around[2, y + 2, begin:end]
+        middle, spread = median[y, begin:], sigma[y, begin:]
+        for x in range(end - begin - 2):
             value, reach, side = r1[x + 1], t1[x + 1], _HUGE
             v0, side, n0 = _take(r0[x], value, reach + t0[x] + window[0], side)
             v1, side, n1 = _take(r0[x + 1], value, reach + t0[x + 1] + window[1], side)
@@ -186,9 +193,9 @@ def _smooth(around: Floats, window: Floats, median: Floats, sigma: Floats) -> No
             weight += n3 * w1[x] + n4 * w1[x + 1] + n5 * w1[x + 2]
             weight += n6 * w2[x] + n7 * w2[x + 1] + n8 * w2[x + 2]
             n = n0 + n1 + n2 + n3 + n4 + n5 + n6 + n7 + n8
-            middle = _HALF * (v3 + v4) if side < _ZERO else v4
-            median[y, x] = middle if w1[x + 1] > _ZERO else median[y, x]
-            sigma[y, x] = _median_sigma(n) * n / weight if w1[x + 1] > _ZERO else sigma[y, x]
+            between = _HALF * (v3 + v4) if side < _ZERO else v4
+            middle[x] = between if w1[x + 1] > _ZERO else middle[x]
+            spread[x] = _median_sigma(n) * n / weight if w1[x + 1] > _ZERO else spread[x]
 
 
 @njit(cache=True, nogil=True)

@@ -27,7 +27,7 @@ def measure_segments(
     sums, bounds, box = np.zeros((count, 10)), np.empty((count, 6), np.float32), np.empty((count, 4), np.int64)
     _sum(labels, points, (range_m, sigma_m, amplitude), (sums, bounds, box))
     near_m = np.empty(count)
-    _nearest(labels, points, bounds, sums[:, 0] * settings.near_fraction, near_m)
+    _nearest(labels, points, (bounds, box), sums[:, 0] * settings.near_fraction, near_m)
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     noise = settings.shared_noise_pixels, settings.sigma_systematic_m, settings.sigma_pixel, settings.edge_jitter
     perspective = lens.projection == "perspective"
@@ -56,20 +56,35 @@ def _sum(labels: Ints, points: Floats, planes: tuple[Floats, Floats, Floats], ou
     box[:, :2], box[:, 2:] = max(labels.shape), 0
     width = labels.shape[1]
     for row in range(labels.shape[0]):
-        first = 0
-        while first < width:
-            label, end = labels[row, first], first + 1
-            while end < width and labels[row, end] == label:
-                end += 1
-            if label > 0:
-                k = label - 1
-                sums[k, 0] += end - first
-                _sum_points(points[row, first:end], sums[k], bounds[k])
-                for place in range(3):
-                    sums[k, 7 + place] += _sum_plane(planes[place][row, first:end], place == 1)
-                box[k, 0], box[k, 1] = min(box[k, 0], row), min(box[k, 1], first)
-                box[k, 2], box[k, 3] = max(box[k, 2], row + 1), max(box[k, 3], end)
-            first = end
+        for start in range(0, width, _BLOCK):
+            stop = min(start + _BLOCK, width)
+            if not _any(labels[row, start:stop]):
+                continue
+            first = start
+            while first < stop:
+                label, end = labels[row, first], first + 1
+                while end < stop and labels[row, end] == label:
+                    end += 1
+                if label > 0:
+                    k = label - 1
+                    sums[k, 0] += end - first
+                    _sum_points(points[row, first:end], sums[k], bounds[k])
+                    for place in range(3):
+                        sums[k, 7 + place] += _sum_plane(planes[place][row, first:end], place == 1)
+                    box[k, 0], box[k, 1] = min(box[k, 0], row), min(box[k, 1], first)
+                    box[k, 2], box[k, 3] = max(box[k, 2], row + 1), max(box[k, 3], end)
+                first = end
+
+
+_BLOCK = 32  # most of an image is background: so many labels are looked at together
+
+
+@njit(cache=True, nogil=True)
+def _any(labels: Ints) -> bool:
+    seen = 0
+    for label in labels:
+        seen |= label
+    return seen != 0
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -97,25 +112,24 @@ def _sum_points(points: Floats, sums: Floats, bounds: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _nearest(labels: Ints, points: Floats, bounds: Floats, wanted: Floats, near_m: Floats) -> None:
+def _nearest(labels: Ints, points: Floats, known: tuple[Floats, Ints], wanted: Floats, near_m: Floats) -> None:
     """Find the x of each segment than which only the wanted number of pixels is nearer, by a histogram of x."""
-    counts = np.zeros((len(near_m), _NEAR_BINS), np.int32)
-    per_metre = np.empty(len(near_m), np.float32)
+    bounds, box = known
+    counts = np.empty(_NEAR_BINS, np.int32)
     for k in range(len(near_m)):
-        width = bounds[k, 3] - bounds[k, 0]
-        per_metre[k] = (_NEAR_BINS - 0.01) / width if width > 0 else 0.0
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            k = labels[row, column] - 1
-            if k >= 0:
-                counts[k, int((points[row, column, 0] - bounds[k, 0]) * per_metre[k])] += 1
-    for k in range(len(near_m)):
+        low, width = bounds[k, 0], bounds[k, 3] - bounds[k, 0]
+        per_metre = np.float32((_NEAR_BINS - 0.01) / width if width > 0 else 0.0)
+        counts[:] = 0
+        for row in range(box[k, 0], box[k, 2]):
+            for column in range(box[k, 1], box[k, 3]):
+                if labels[row, column] == k + 1:
+                    counts[int((points[row, column, 0] - low) * per_metre)] += 1
         before, place = 0, 0
-        while before + counts[k, place] < wanted[k]:
-            before += counts[k, place]
+        while before + counts[place] < wanted[k]:
+            before += counts[place]
             place += 1
-        within = (wanted[k] - before) / counts[k, place]
-        near_m[k] = bounds[k, 0] + ((place + within) / per_metre[k] if per_metre[k] > 0 else 0.0)
+        within = (wanted[k] - before) / counts[place]
+        near_m[k] = low + ((place + within) / per_metre if per_metre > 0 else 0.0)
 
 
 _NEAR_BINS = 32
