@@ -42,31 +42,37 @@ def judge(
     common neighbours it must have. Two pixels are common neighbours if their ranges differ by no more than the sum of
     their reaches (Steinbäck 2016, eqs 2.8-2.9, with T_2 = tolerance + k (sigma_i + sigma_j) / sqrt 2, which for equal
     sigmas is k times the sigma of the difference). Only pixels that came in valid are neighbours.
-    The second array (3, H + 2, W + 2) float32 holds range, reach and 1/sigma of those not refused, else and in its rim
-    NaN, anything and 0.
+    The second array (3, H + 2, W + 2) float32 holds range, reach and 1/sigma of those not refused; NaN, anything and 0
+    of the others and in its rim.
     """
     height, width = why.shape
     reason = why.astype(np.uint8)
-    came = np.empty((2, height + 2, width + 2), np.float32)
-    stays = np.empty((3, height + 2, width + 2), np.float32)
+    came = np.empty((height + 2, width + 2), np.float32)
+    around = np.empty((3, height + 2, width + 2), np.float32)
     tolerance = np.array([settings.neighbour_tolerance_m / 2, settings.neighbour_tolerance_sigmas / math.sqrt(2)])
-    _spread(planes[0], planes[1], why, tolerance.astype(np.float32), came)
-    _refuse(planes, amplitudes, needed, came, stays, reason)
-    return reason, stays
+    _spread(planes[0], planes[1], why, tolerance.astype(np.float32), (came, around))
+    _refuse(planes, amplitudes, needed, came, around, reason)
+    return reason, around
 
 
 @njit(cache=True, nogil=True)
-def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, came: Floats) -> None:
+def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, out: tuple[Floats, Floats]) -> None:
     """Give the image a rim of NaN; invalid pixels are NaN too, so that no comparison with them is true."""
+    came, around = out
     height, width = range_m.shape
-    came[:, 0, :] = _NAN
-    came[:, height + 1, :] = _NAN
-    came[:, :, 0] = _NAN
-    came[:, :, width + 1] = _NAN
+    came[:, 0] = _NAN
+    came[:, width + 1] = _NAN
+    for y in (0, height + 1):
+        came[y, :] = _NAN
+        around[0, y, :] = _NAN
+        around[1, y, :] = _ZERO
+        around[2, y, :] = _ZERO
+    around[1, :, 0] = _ZERO
+    around[1, :, width + 1] = _ZERO
     for y in range(height):
         for x in range(width):
-            came[0, y + 1, x + 1] = range_m[y, x] if why[y, x] == 0 else _NAN
-            came[1, y + 1, x + 1] = tolerance[0] + tolerance[1] * sigma_m[y, x]
+            came[y + 1, x + 1] = range_m[y, x] if why[y, x] == 0 else _NAN
+            around[1, y + 1, x + 1] = tolerance[0] + tolerance[1] * sigma_m[y, x]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -75,17 +81,17 @@ def _refuse(
     amplitudes: tuple[Floats, Floats],
     needed: Ints,
     came: Floats,
-    stays: Floats,
+    around: Floats,
     reason: Ints,
 ) -> None:
     range_m, sigma_m, amplitude = planes
     weakest, wrapped = amplitudes
-    stays[0], stays[1], stays[2] = _NAN, came[1], _ZERO
-    common = np.empty(reason.shape[1], np.float32)
+    width = reason.shape[1]
+    common = np.empty(width, np.float32)
     for y in range(reason.shape[0]):
-        begin, end = _span(came[0, y + 1])
-        r0, r1, r2 = came[0, y, begin:end], came[0, y + 1, begin:end], came[0, y + 2, begin:end]
-        t0, t1, t2 = came[1, y, begin:end], came[1, y + 1, begin:end], came[1, y + 2, begin:end]
+        begin, end = _span(came[y + 1])
+        r0, r1, r2 = came[y, begin:end], came[y + 1, begin:end], came[y + 2, begin:end]
+        t0, t1, t2 = around[1, y, begin:end], around[1, y + 1, begin:end], around[1, y + 2, begin:end]
         for x in range(end - begin - 2):
             value, reach = r1[x + 1], t1[x + 1]
             number = _common(r0[x], value, reach + t0[x]) + _common(r0[x + 1], value, reach + t0[x + 1])
@@ -101,7 +107,10 @@ def _refuse(
             first = _WRAPPED if light[x] * distance[x] * distance[x] < least_wrapped[x] else first
             first = _LOW_AMPLITUDE if light[x] < least[x] else first
             why[x] = why[x] if why[x] != 0 else first
-        kept, weight, sigma = stays[0, y + 1, begin + 1 :], stays[2, y + 1, begin + 1 :], sigma_m[y, begin:]
+        for rest in (slice(0, begin + 1), slice(end - 1, width + 2)):
+            around[0, y + 1, rest] = _NAN
+            around[2, y + 1, rest] = _ZERO
+        kept, weight, sigma = around[0, y + 1, begin + 1 :], around[2, y + 1, begin + 1 :], sigma_m[y, begin:]
         for x in range(end - begin - 2):
             kept[x] = r1[x + 1] if why[x] == 0 else _NAN
             weight[x] = _ONE / sigma[x] if why[x] == 0 else _ZERO
