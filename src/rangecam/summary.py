@@ -63,8 +63,17 @@ class Summary:
         if decision.brake != self._braking or not self._events:
             self._events.append(_event(decision))
         self._braking = decision.brake
-        for values in (frame.tracks.track_id, frame.tracks.state, frame.tracks.covariance, frame.decision.brake):
+        tracks, threats = frame.tracks, decision.collisions
+        for values in (
+            tracks.track_id,
+            tracks.status,
+            tracks.state,
+            tracks.covariance,
+            threats.ttc_s,
+            threats.p_collision,
+        ):
             self._digest.update(np.ascontiguousarray(values).tobytes())
+        self._digest.update(f"{decision.brake} {decision.reason}".encode())
         for track in frame.tracks:
             if track.status == TrackStatus.TENTATIVE:
                 continue
