@@ -12,9 +12,9 @@ Collections (`Segments`, `Tracks`, `Collisions`) are structs of arrays, one row 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,26 @@ Ints = NDArray[np.integer[Any]]
 
 SPEED_OF_LIGHT = 299_792_458.0
 """m/s. The theses compute with 3e8 (X-01); cameras take it as a setting so that their numbers can be reproduced."""
+
+
+T = TypeVar("T")
+
+
+def _quick(cls: type[T]) -> type[T]:
+    """Let a frozen dataclass that every frame makes be made in half the time, with the same arguments.
+
+    The constructor that it comes with calls `object.__setattr__` for each field, which costs a frame more than most of
+    what is done with the fields; this one fills the dictionary of the instance.
+    """
+    made: Any = cls
+    names = [each.name for each in fields(made)]
+    lines = [f"def __init__(self, {', '.join(names)}):", "values = self.__dict__"]
+    lines += [f"values[{name!r}] = {name}" for name in names]
+    scope: dict[str, Any] = {}
+    exec("\n    ".join(lines), scope)
+    scope["__init__"].__defaults__ = made.__init__.__defaults__
+    made.__init__ = scope["__init__"]
+    return cls
 
 
 class Why(IntEnum):
@@ -82,6 +102,7 @@ class RawFrame:
         return height, width
 
 
+@_quick
 @dataclass(frozen=True, eq=False)
 class RangeImage:
     """The waist of the system: from here on nobody knows which family of camera it was.
@@ -133,6 +154,7 @@ class Segment:
     amplitude: float
 
 
+@_quick
 @dataclass(frozen=True, eq=False)
 class Segments(Rows):
     """The object list of one image (K-SEG-05, S-SEG-03): N segments.
@@ -226,6 +248,7 @@ class Track:
         return CLASSES[int(np.argmax(self.class_probability))]
 
 
+@_quick
 @dataclass(frozen=True, eq=False)
 class Tracks(Rows):
     """All tracks after one frame: the whole memory of the system, handed back into the next step.
@@ -305,6 +328,7 @@ class Ego:
     forward: bool = True
 
 
+@_quick
 @dataclass(frozen=True, eq=False)
 class Collisions(Rows):
     """What each track would do to us: row i belongs to row i of `Tracks`.
@@ -319,6 +343,7 @@ class Collisions(Rows):
     p_collision: Floats
 
 
+@_quick
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What to do now, and why.
@@ -343,6 +368,7 @@ class Decision:
     p_collision: float = 0.0
 
 
+@_quick
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Everything known about one image: what recorder, report, workbench, bus and applications receive.
