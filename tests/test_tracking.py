@@ -15,6 +15,7 @@ from rangecam.errors import DataError
 from rangecam.motion import MOTION, MotionSettings
 from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR
+from rangecam.tracking.filter import take_only_candidates
 from rangecam.tracking.update import gate_threshold
 from rangecam.types import POSITION, VELOCITY, Segments, Tracks, TrackStatus
 
@@ -244,6 +245,16 @@ def test_the_global_association_is_the_best_of_all(cost: np.ndarray) -> None:
         and all(j < 0 or cost[i, j] < NO_PAIR for i, j in enumerate(choice))
     )
     assert total(cost, list(took)) == min(total(cost, choice) for choice in every)
+
+
+@pytest.mark.parametrize("name", sorted(ASSOCIATION))
+@given(costs())
+def test_where_nothing_competes_every_association_takes_every_candidate(name: str, cost: np.ndarray) -> None:
+    took, candidates = np.empty(len(cost), int), cost < NO_PAIR
+    alone = bool((candidates.sum(axis=0) <= 1).all() and (candidates.sum(axis=1) <= 1).all())
+    assert take_only_candidates(cost, took) == alone
+    if alone:
+        np.testing.assert_array_equal(took, ASSOCIATION[name](cost, np.arange(len(cost))))
 
 
 @pytest.mark.parametrize("name", sorted(ASSOCIATION))

@@ -32,20 +32,21 @@ class MotionSettings:
     """Time after which 63 % of an acceleration has died away. For singer."""
 
 
-def constant_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
-    """Return F and Q, (3, 3) for each axis, for an acceleration that drifts as a Wiener process (white jerk).
+def constant_acceleration(dt_s: float, settings: MotionSettings) -> Floats:
+    """Return (2, 3, 3): F and Q of each axis, for an acceleration that drifts as a Wiener process (white jerk).
 
     F is König 2008, eq 6.18, with the true time between the frames. Q is the integral of the jerk over that time, so
     that two short steps are exactly one long one: a dropped frame or another frame rate changes nothing. The thesis'
     own Q (eq 6.33) lacks this; it is `wiener_acceleration`.
     """
-    F, Q = np.empty((3, 3)), np.empty((3, 3))
-    _constant_acceleration(dt_s, settings.drift_mps2**2, F, Q)
-    return F, Q
+    model = np.empty((2, 3, 3))
+    _constant_acceleration(dt_s, settings.drift_mps2**2, model)
+    return model
 
 
 @njit(cache=True, nogil=True)
-def _constant_acceleration(T: float, q: float, F: Floats, Q: Floats) -> None:
+def _constant_acceleration(T: float, q: float, model: Floats) -> None:
+    F, Q = model[0], model[1]
     _transition(F, T, T * T / 2, T, 1.0)
     Q[0, 0], Q[0, 1], Q[0, 2] = q * T**5 / 20, q * T**4 / 8, q * T**3 / 6
     Q[1, 0], Q[1, 1], Q[1, 2] = q * T**4 / 8, q * T**3 / 3, q * T**2 / 2
@@ -59,19 +60,20 @@ def _transition(F: Floats, T: float, a_to_x: float, a_to_v: float, a_to_a: float
     F[2, 0], F[2, 1], F[2, 2] = 0.0, 0.0, a_to_a
 
 
-def wiener_acceleration(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
-    """Return F and Q, (3, 3) for each axis, of König 2008, eq 6.18 and 6.33: a step of the acceleration in each frame.
+def wiener_acceleration(dt_s: float, settings: MotionSettings) -> Floats:
+    """Return (2, 3, 3): F and Q of each axis, of König 2008, eq 6.18 and 6.33: the acceleration steps in each frame.
 
     The step is as large whether the frame was long or short, so sigma_w belongs to a frame rate; in a gap the
     uncertainty grows only as if the one step had come at its start.
     """
-    F, Q = np.empty((3, 3)), np.empty((3, 3))
-    _wiener_acceleration(dt_s, settings.step_mps2**2, F, Q)
-    return F, Q
+    model = np.empty((2, 3, 3))
+    _wiener_acceleration(dt_s, settings.step_mps2**2, model)
+    return model
 
 
 @njit(cache=True, nogil=True)
-def _wiener_acceleration(T: float, variance: float, F: Floats, Q: Floats) -> None:
+def _wiener_acceleration(T: float, variance: float, model: Floats) -> None:
+    F, Q = model[0], model[1]
     _transition(F, T, T * T / 2, T, 1.0)
     gamma = (T * T / 2, T, 1.0)  # eq 6.20
     for a in range(3):
@@ -79,22 +81,23 @@ def _wiener_acceleration(T: float, variance: float, F: Floats, Q: Floats) -> Non
             Q[a, b] = variance * gamma[a] * gamma[b]  # eq 6.32
 
 
-def singer(dt_s: float, settings: MotionSettings) -> tuple[Floats, Floats]:
-    """Return F and Q, (3, 3) for each axis, for an acceleration that drifts and dies away (Singer 1970).
+def singer(dt_s: float, settings: MotionSettings) -> Floats:
+    """Return (2, 3, 3): F and Q of each axis, for an acceleration that drifts and dies away (Singer 1970).
 
     da/dt = -a / memory_s + jerk. For long memories this is `constant_acceleration`, for short ones constant velocity.
     """
-    F, Q = np.empty((3, 3)), np.zeros((3, 3))
-    _singer(dt_s, settings.drift_mps2**2, 1 / settings.memory_s, F, Q)
-    return F, Q
+    model = np.zeros((2, 3, 3))
+    _singer(dt_s, settings.drift_mps2**2, 1 / settings.memory_s, model)
+    return model
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 @njit(cache=True, nogil=True)
-def _singer(T: float, q: float, rate: float, F: Floats, Q: Floats) -> None:
+def _singer(T: float, q: float, rate: float, model: Floats) -> None:
     """Integrate the response to the jerk numerically: the closed form of Q loses all digits for small rate * T."""
+    F, Q = model[0], model[1]
     for node in range(_NODES.size):
         response = _response(T * (1 + _NODES[node]) / 2, rate)
         for a in range(3):
@@ -113,7 +116,7 @@ def _response(t: float, rate: float) -> tuple[float, float, float]:
     return to_x / rate**2, to_v / rate, math.exp(-u)
 
 
-MOTION: dict[str, Callable[[float, MotionSettings], tuple[Floats, Floats]]] = {
+MOTION: dict[str, Callable[[float, MotionSettings], Floats]] = {
     "constant_acceleration": constant_acceleration,
     "wiener_acceleration": wiener_acceleration,
     "singer": singer,

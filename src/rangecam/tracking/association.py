@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from scipy.optimize import linear_sum_assignment
 
 from rangecam.types import Floats, Ints
@@ -18,26 +17,10 @@ def associate_globally(cost: Floats, age: Ints) -> Ints:
     cost (N, M): squared Mahalanobis distance plus log det S, twice the negative log-likelihood of the pairing but for
     a constant; `NO_PAIR` outside the gate.
     """
-    took = np.empty(age.size, np.int64)
-    if not _take_only_candidates(cost, took):
-        rows, columns = linear_sum_assignment(cost)
-        took[:] = -1
-        took[rows] = np.where(cost[rows, columns] < NO_PAIR, columns, -1)
+    took = np.full(len(age), -1)
+    rows, columns = linear_sum_assignment(cost)
+    took[rows] = np.where(cost[rows, columns] < NO_PAIR, columns, -1)
     return took
-
-
-@njit(cache=True, nogil=True)
-def _take_only_candidates(cost: Floats, took: Ints) -> bool:
-    """Write the pairing if no track has two candidates and no segment two takers; return whether that is so."""
-    taken = np.zeros(cost.shape[1], np.bool_)
-    for i in range(cost.shape[0]):
-        took[i] = -1
-        for j in range(cost.shape[1]):
-            if cost[i, j] < NO_PAIR:
-                if taken[j] or took[i] >= 0:
-                    return False
-                taken[j], took[i] = True, j
-    return True
 
 
 def associate_by_age(cost: Floats, age: Ints) -> Ints:
@@ -54,4 +37,7 @@ def associate_by_age(cost: Floats, age: Ints) -> Ints:
 
 
 ASSOCIATION: dict[str, Callable[[Floats, Ints], Ints]] = {"global": associate_globally, "by_age": associate_by_age}
-"""Association methods by name: (cost of each pairing, age of each track) -> segment of each track."""
+"""Association methods by name: (cost of each pairing, age of each track) -> segment of each track.
+
+Asked only where tracks or segments compete: every method takes a pairing in the gate that nothing competes with.
+"""

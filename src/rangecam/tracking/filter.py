@@ -1,4 +1,8 @@
-"""The Kalman filter of all tracks at once (König 2008, section 6.4.3): kernels on arrays that the caller made."""
+"""One step of all tracks (König 2008, section 6.4.3) as loops over arrays that the caller made.
+
+All kernels are in one file because Numba's cache on disk notices changes of the file that a kernel is in, not of
+others.
+"""
 
 import math
 
@@ -6,41 +10,86 @@ import numpy as np
 from numba import njit
 
 from rangecam.tracking.association import NO_PAIR
-from rangecam.types import Floats, Ints
+from rangecam.types import Floats, Ints, TrackStatus
+
+_TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
+GONE = -1
+"""In the place of a status: the track ends with this frame."""
+CONTESTED = -1
+"""In the place of a number of tracks: some compete for a segment, or segments for a track."""
+
+Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints]
+"""label, position_m, covariance_m2, size_m, near_m, n_pixels of `Segments`: int64 and float64."""
 
 
 @njit(cache=True, nogil=True)
-def predict_and_gate(
-    old: tuple[Floats, Floats],
-    model: tuple[Floats, Floats],
-    seen: tuple[Floats, Floats, Floats],
-    noise: tuple[float, float, float],
-    gate: float,
-    new: tuple[Floats, Floats, Floats, Floats],
-) -> None:
-    """Predict tracks, complete the covariances of what was measured, and say which belongs to which at what cost.
+def advance(
+    state: Floats,
+    covariance: Floats,
+    status: Ints,
+    age: Ints,
+    hits: Ints,
+    misses: Ints,
+    shape: Floats,
+    near_offset: Floats,
+    n_pixels: Floats,
+    label: Ints,
+    position: Floats,
+    position_covariance: Floats,
+    size: Floats,
+    near: Floats,
+    pixels: Ints,
+    model: Floats,
+    rules: Floats,
+    x: Floats,
+    P: Floats,
+    counts: Ints,
+    means: Floats,
+    new_shape: Floats,
+    cost: Floats,
+    took: Ints,
+    associated: bool,
+) -> tuple[int, int]:
+    """Predict, gate, associate, update and age; return how many tracks end and how many segments are left over.
 
-    old: states (N, 9) and covariances (N, 9, 9); model: F and Q of one axis (3, 3); seen: positions (M, 3), their
-    covariances (M, 3, 3) and the sizes of the objects (M, 3); noise: variance of every position, of the centroid as a
-    share of the squared size, of the time. gate: largest squared Mahalanobis distance.
-    Written into new: predicted states and covariances, R (M, 3, 3), and the cost of each pairing (N, M).
+    Given one by one, as a tuple of arrays costs a call more than what is done with them: nine fields of the tracks,
+    six of the segments, F and Q of one axis (2, 3, 3), and `rules`: largest squared Mahalanobis distance, variance of
+    every position, of the centroid as a share of the squared size, of the time, weight of new shapes, confirm_hits,
+    confirm_frames, max_misses, largest variance of a position.
+
+    Written: x (N, 9), P (N, 9, 9); counts (5, N): status, age, hits, misses, label of the segment; means (3, N):
+    near_offset, n_pixels, NIS; new_shape (N, 3); took (N,): index of the segment, -1 for none. Where tracks or segments
+    compete, `CONTESTED` is returned and the cost (N, M) of each pairing written: fill in took and call `associated`.
     """
-    x, P, R, cost = new
-    z, covariance, size = seen
-    common, extent, time_variance = noise
+    gate, common, extent, time_variance, weight = rules[0], rules[1], rules[2], rules[3], rules[4]
+    R = np.empty_like(position_covariance)
+    measured = position, R, time_variance
+    complete(position_covariance, size, common, extent, R)
+    _predict(state, covariance, model, x, P)
+    if not associated:
+        _gate(x, P, measured, gate, cost)
+        if not take_only_candidates(cost, took):
+            return CONTESTED, 0
+    _update(x, P, took, measured, means[2])
+    seen, new = (label, position, size, near, pixels), (counts[4], new_shape, means[0], means[1])
+    _reshape(took, (shape, near_offset, n_pixels), seen, weight, new)
+    return _count(took, (status, age, hits, misses), P, rules[5:], counts), _left_over(took, position, R)
+
+
+@njit(cache=True, nogil=True)
+def complete(covariance: Floats, size: Floats, common: float, extent: float, R: Floats) -> None:
+    """Write the covariances of the positions, errors that the camera cannot know of included."""
     for j in range(size.shape[0]):
         for a in range(3):
             for b in range(3):
                 R[j, a, b] = covariance[j, a, b]
             R[j, a, a] += common + extent * size[j, a] ** 2
-    _predict(old[0], old[1], model, x, P)
-    _gate(x, P, (z, R, time_variance), gate, cost)
 
 
 @njit(cache=True, nogil=True)
-def _predict(state: Floats, covariance: Floats, model: tuple[Floats, Floats], x: Floats, P: Floats) -> None:
+def _predict(state: Floats, covariance: Floats, model: Floats, x: Floats, P: Floats) -> None:
     """Write F x and F P F' + Q (König 2008, fig 6.8) into x and P, block by block; all of F is upper triangular."""
-    F, Q = model
+    F, Q = model[0], model[1]
     t, f, r = F[0, 1], F[0, 2], F[1, 2]
     d = F[2, 2]
     for i in range(state.shape[0]):
@@ -118,7 +167,21 @@ def _invert(S: Floats, V: Floats) -> float:
 
 
 @njit(cache=True, nogil=True)
-def update(state: Floats, covariance: Floats, took: Ints, measured: tuple[Floats, Floats, float], nis: Floats) -> None:
+def take_only_candidates(cost: Floats, took: Ints) -> bool:
+    """Write the pairing if no track has two candidates and no segment two takers; return whether that is so."""
+    taken = np.zeros(cost.shape[1], np.bool_)
+    for i in range(cost.shape[0]):
+        took[i] = -1
+        for j in range(cost.shape[1]):
+            if cost[i, j] < NO_PAIR:
+                if taken[j] or took[i] >= 0:
+                    return False
+                taken[j], took[i] = True, j
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _update(state: Floats, covariance: Floats, took: Ints, measured: tuple[Floats, Floats, float], nis: Floats) -> None:
     """Write the measurement update (fig 6.9) of every track that took a segment into its arrays, and its NIS.
 
     took (N,): index of the segment, -1 for none; measured: positions, R, variance of the time.
@@ -142,3 +205,69 @@ def update(state: Floats, covariance: Floats, took: Ints, measured: tuple[Floats
             for b in range(a, 9):  # P - K S K', symmetric by construction
                 P[a, b] -= K[a, 0] * W[b, 0] + K[a, 1] * W[b, 1] + K[a, 2] * W[b, 2]
                 P[b, a] = P[a, b]
+
+
+@njit(cache=True, nogil=True)
+def _count(
+    took: Ints,
+    old: tuple[Ints, Ints, Ints, Ints],
+    covariance: Floats,
+    rules: Floats,
+    new: Ints,
+) -> int:
+    """Write the new status (`GONE` for the end), age, hits and misses; return how many tracks end."""
+    confirm_hits, confirm_frames, max_misses, max_variance = rules[0], rules[1], rules[2], rules[3]
+    gone = 0
+    for i in range(took.size):
+        hit = 1 if took[i] >= 0 else 0
+        age, hits, misses = old[1][i] + 1, old[2][i] + hit, 0 if hit else old[3][i] + 1
+        if old[0][i] != _TENTATIVE:
+            fate = _CONFIRMED if hit else _COASTING if misses <= max_misses else GONE
+        elif hits >= confirm_hits:
+            fate = _CONFIRMED
+        else:  # can it still be seen often enough within its first frames?
+            fate = _TENTATIVE if confirm_hits - hits <= confirm_frames - age else GONE
+        for a in (0, 3, 6):
+            if not covariance[i, a, a] <= max_variance:
+                fate = GONE
+        new[0, i], new[1, i], new[2, i], new[3, i] = fate, age, hits, misses
+        gone += fate == GONE
+    return gone
+
+
+@njit(cache=True, nogil=True)
+def _reshape(
+    took: Ints,
+    old: tuple[Floats, Floats, Floats],
+    seen: tuple[Ints, Floats, Floats, Floats, Ints],
+    weight: float,
+    new: tuple[Ints, Floats, Floats, Floats],
+) -> None:
+    """Write the label of the segment each track took, and the running means of size, nearest point and pixels."""
+    label, position, size, near, pixels = seen
+    new_label, new_size, new_offset, new_pixels = new
+    for i in range(took.size):
+        j = took[i]
+        new_label[i], new_offset[i], new_pixels[i] = 0, old[1][i], old[2][i]
+        for a in range(3):
+            new_size[i, a] = old[0][i, a]
+        if j >= 0:
+            new_label[i] = label[j]
+            new_offset[i] += weight * (position[j, 0] - near[j] - old[1][i])
+            new_pixels[i] += weight * (pixels[j] - old[2][i])
+            for a in range(3):
+                new_size[i, a] += weight * (size[j, a] - old[0][i, a])
+
+
+@njit(cache=True, nogil=True)
+def _left_over(took: Ints, position: Floats, R: Floats) -> int:
+    """Return how many finite segments no track took."""
+    n = 0
+    for j in range(position.shape[0]):
+        total = 0.0
+        for a in range(3):
+            total += position[j, a] + R[j, a, 0] + R[j, a, 1] + R[j, a, 2]
+        n += math.isfinite(total)
+    for i in range(took.size):
+        n -= took[i] >= 0
+    return n

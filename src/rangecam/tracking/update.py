@@ -10,11 +10,12 @@ from scipy.special import chdtri
 from rangecam.errors import DataError
 from rangecam.motion import MOTION
 from rangecam.tracking.association import ASSOCIATION
-from rangecam.tracking.filter import predict_and_gate, update
-from rangecam.tracking.life import age, initiate
-from rangecam.tracking.seen import Seen, seen_in
+from rangecam.tracking.filter import CONTESTED, Seen, advance
+from rangecam.tracking.life import delete, initiate
 from rangecam.tracking.settings import TrackingSettings
-from rangecam.types import Floats, Segments, Tracks
+from rangecam.types import Floats, Ints, Segments, Tracks
+
+_FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 
 
 def update_tracks(tracks: Tracks, segments: Segments, time_s: float, settings: TrackingSettings) -> Tracks:
@@ -35,29 +36,74 @@ def update_tracks(tracks: Tracks, segments: Segments, time_s: float, settings: T
         tracks, dt_s = dataclasses.replace(Tracks.empty(), next_id=tracks.next_id), 0.0
     elif dt_s < 0:
         return tracks
-    seen = seen_in(segments)
-    state, covariance, R, cost = _predict(tracks, seen, dt_s, settings)
-    took = ASSOCIATION[settings.association](cost, tracks.age)
-    nis = np.empty(len(tracks))
-    update(state, covariance, took, (seen.position_m, R, settings.frame_time_sigma_s**2), nis)
-    tracks = age(tracks, (state, covariance, nis), took, seen, time_s, settings)
-    return initiate(tracks, took, seen, R, settings)
+    seen, model = _seen_in(segments), MOTION[settings.motion.model](dt_s, settings.motion)
+    tracks, took, ended, left = _follow(tracks, seen, model, time_s, settings)
+    if ended:
+        tracks = delete(tracks)
+    return initiate(tracks, seen, took, settings) if left else tracks
 
 
-def _predict(tracks: Tracks, seen: Seen, dt_s: float, settings: TrackingSettings) -> tuple[Floats, ...]:
-    """Return predicted states (N, 9) and covariances (N, 9, 9), R (M, 3, 3), and the cost of each pairing (N, M)."""
-    n, m = len(tracks.track_id), len(seen.label)
-    new = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((m, 3, 3)), np.empty((n, m))
-    model = MOTION[settings.motion.model](dt_s, settings.motion)
-    noise = settings.position_sigma_m**2, settings.extent_sigma**2, settings.frame_time_sigma_s**2
-    measured = seen.position_m, seen.covariance_m2, seen.size_m
-    predict_and_gate(
-        (tracks.state, tracks.covariance), model, measured, noise, gate_threshold(settings.gate_probability), new
+def _follow(
+    tracks: Tracks, seen: Seen, model: Floats, time_s: float, settings: TrackingSettings
+) -> tuple[Tracks, Ints, int, int]:
+    """Return the tracks at `time_s`, the segment that each took, how many have ended, how many segments are left over.
+
+    model (2, 3, 3): F and Q of one axis. Ended tracks are still there, with the status `GONE`.
+    """
+    n, m = tracks.age.size, seen[0].size
+    x, P, shape, cost = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((n, 3)), np.empty((n, m))
+    counts, means, took = np.empty((5, n), int), np.empty((3, n)), np.empty(n, int)
+    # fmt: off
+    given = (
+        tracks.state, tracks.covariance, tracks.status, tracks.age, tracks.hits, tracks.misses,
+        tracks.size_m, tracks.near_offset_m, tracks.n_pixels,
+        *seen, model, _constants(settings), x, P, counts, means, shape, cost, took,
     )
-    return new
+    # fmt: on
+    ended, left = advance(*given, False)
+    if ended == CONTESTED:
+        took[:] = ASSOCIATION[settings.association](cost, tracks.age)
+        ended, left = advance(*given, True)
+    followed = Tracks(
+        track_id=tracks.track_id,
+        status=counts[0],
+        state=x,
+        covariance=P,
+        age=counts[1],
+        hits=counts[2],
+        misses=counts[3],
+        size_m=shape,
+        near_offset_m=means[0],
+        n_pixels=means[1],
+        segment=counts[4],
+        class_probability=tracks.class_probability,
+        nis=means[2],
+        time_s=time_s,
+        next_id=tracks.next_id,
+    )
+    return followed, took, ended, left
+
+
+def _seen_in(segments: Segments) -> Seen:
+    """Return what the tracker uses of the segments, in the types that its kernels are compiled for."""
+    return (
+        np.asarray(segments.label, _INT),
+        np.asarray(segments.position_m, _FLOAT),
+        np.asarray(segments.covariance_m2, _FLOAT),
+        np.asarray(segments.size_m, _FLOAT),
+        np.asarray(segments.near_m, _FLOAT),
+        np.asarray(segments.n_pixels, _INT),
+    )
 
 
 @lru_cache(maxsize=16)
+def _constants(settings: TrackingSettings) -> Floats:
+    """Return what `advance` is told by the settings, once for all frames."""
+    noise = settings.position_sigma_m**2, settings.extent_sigma**2, settings.frame_time_sigma_s**2
+    life = settings.confirm_hits, settings.confirm_frames, settings.max_misses, settings.max_position_sigma_m**2
+    return np.array([gate_threshold(settings.gate_probability), *noise, settings.shape_weight, *life])
+
+
 def gate_threshold(probability: float) -> float:
     """Return the squared Mahalanobis distance within which a three-dimensional measurement lies with `probability`.
 
