@@ -149,7 +149,7 @@ def test_a_bad_file_gives_one_line_and_no_output(
 
 
 BAD_CALLS: dict[str, tuple[list[str], tuple[str, ...]]] = {
-    "no source": (["run"], ("source",)),
+    "no source": (["run"], ("SOURCE",)),
     "unknown command": (["rnu", "x"], ("rnu",)),
     "unknown option": (["run", "RAW", "--perset", "generic_cw"], ("perset",)),
     "missing file": (["run", "nowhere.npz"], ("nowhere.npz",)),

@@ -30,18 +30,40 @@ app = App(
 
 Set = Annotated[
     list[str],
-    Parameter(name="--set", negative=(), help="One setting, key=value; may be given again. Wins over all else."),
+    Parameter(
+        name="--set",
+        negative=(),
+        show_default=False,
+        help="One setting, key=value; may be given again. Wins over all else.",
+    ),
 ]
 Preset = Annotated[
     str | None, Parameter(help="Camera and processing to start from; otherwise the source suggests one.")
 ]
 ConfigFile = Annotated[Path | None, Parameter(name="--config", help="TOML file of settings, over the preset.")]
-Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print one JSON object instead of the summary.")]
+Json = Annotated[
+    bool,
+    Parameter(name="--json", negative=(), show_default=False, help="Print one JSON object instead of the summary."),
+]
+Record = Annotated[Path | None, Parameter(help="Write raw samples, settings and results to this recording (.mcap).")]
+ReportFile = Annotated[
+    Path | None,
+    Parameter(help="Write one HTML page that opens offline: images, life of a frame, tracks from above, braking."),
+]
+Images = Annotated[
+    Path | None, Parameter(help="Write range_m, sigma_m, amplitude, valid, why and time_s of every frame (.npz).")
+]
+TracksFile = Annotated[Path | None, Parameter(help="Write a row for each confirmed track and frame (.csv).")]
 Seed = Annotated[int, Parameter(help="Seed of the simulated noise.")]
 
 
 @app.command
-def demo(*, folder: Path = Path(), scenario: str = "approach-box", json: Json = False) -> None:
+def demo(
+    *,
+    folder: Annotated[Path, Parameter(help="Where to leave them.")] = Path(),
+    scenario: Annotated[str, Parameter(help="Another built-in scenario.")] = "approach-box",
+    json: Json = False,
+) -> None:
     """Simulate a car that drives towards a box, perceive it, brake; leave a report and a recording in FOLDER."""
     stem = folder / f"rangecam-{scenario}"
     run(f"scenario:{scenario}", record=stem.with_suffix(".mcap"), report=stem.with_suffix(".html"), json=json)
@@ -53,26 +75,19 @@ def demo(*, folder: Path = Path(), scenario: str = "approach-box", json: Json = 
 @app.command
 def run(
     source: str,
+    /,
     *,
     preset: Preset = None,
     config: ConfigFile = None,
     set_: Set = [],  # noqa: B006 (cyclopts reads the default, nobody changes it)
     seed: Seed = 0,
-    record: Path | None = None,
-    report: Path | None = None,
-    images: Path | None = None,
-    tracks: Path | None = None,
+    record: Record = None,
+    report: ReportFile = None,
+    images: Images = None,
+    tracks: TracksFile = None,
     json: Json = False,
 ) -> None:
-    """Perceive SOURCE: scenario:NAME, a recording (.mcap) or a NumPy file (.npz).
-
-    Parameters
-    ----------
-    record: Write raw samples, settings and results to this recording (.mcap).
-    report: Write one HTML page that opens offline: images, life of a frame, tracks from above, braking.
-    images: Write range_m, sigma_m, amplitude, valid, why and time_s of every frame (.npz).
-    tracks: Write a row for each confirmed track and frame (.csv).
-    """
+    """Perceive SOURCE: scenario:NAME, a recording (.mcap) or a NumPy file (.npz)."""
     from rangecam import pipeline
     from rangecam.summary import Stopwatch, Summary, describe
 
@@ -93,6 +108,7 @@ def run(
 @app.command
 def simulate(
     scenario: str,
+    /,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     preset: Preset = None,
@@ -116,7 +132,7 @@ def simulate(
 
 @app.command
 def repair(
-    recording: Path, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
+    recording: Path, /, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
 ) -> None:
     """Copy the complete frames of a recording that was cut off (by default to RECORDING.repaired.mcap)."""
     from rangecam.io import repair as repair_recording
@@ -129,13 +145,8 @@ def repair(
 
 
 @app.command
-def bench(*, seconds: float = 2.0, json: Json = False) -> None:
-    """Measure milliseconds a stage and a chain, beside peers in the same process (extra: rangecam[bench]).
-
-    Parameters
-    ----------
-    seconds: Time spent on each row.
-    """
+def bench(*, seconds: Annotated[float, Parameter(help="Time spent on each row.")] = 2.0, json: Json = False) -> None:
+    """Measure milliseconds a stage and a chain, beside peers in the same process (extra: rangecam[bench])."""
     from rangecam.bench import measure, table
 
     result = measure(seconds)
