@@ -1,7 +1,7 @@
 """What a track is: a vulnerable road user, a vehicle or an obstacle, from its size, shape and motion."""
 
-import dataclasses
 import math
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -41,13 +41,18 @@ def classify(tracks: Tracks, settings: ClassificationSettings) -> Tracks:
     be an obstacle; what fits none of these stays unknown. The weights of the classes are divided by their sum and
     averaged over time. Tentative tracks are unknown; unseen ones keep what they were.
     """
-    probability = np.empty((len(tracks), len(CLASSES)))
-    limits = (*settings.vru_width_m, *settings.vru_height_m, *settings.vehicle_width_m, *settings.vehicle_height_m)
-    weights = (settings.standing_weight, settings.obstacle_weight, settings.unknown_weight, settings.memory)
-    motion = (settings.moving_mps, settings.size_tolerance)
-    kinematics = (tracks.status, tracks.state, tracks.covariance)
-    _classify(kinematics, tracks.size_m, tracks.class_probability, (limits, motion, weights), probability)
-    return dataclasses.replace(tracks, class_probability=probability)
+    probability = np.empty((tracks.status.size, len(CLASSES)))
+    earlier = tracks.class_probability
+    _classify(tracks.status, tracks.state, tracks.covariance, tracks.size_m, earlier, _rules(settings), probability)
+    return Tracks(**{**vars(tracks), "class_probability": probability})
+
+
+@lru_cache(maxsize=16)
+def _rules(settings: ClassificationSettings) -> Floats:
+    """Return what `_classify` is told by the settings, as one array: each further one costs every frame."""
+    sizes = (*settings.vru_width_m, *settings.vru_height_m, *settings.vehicle_width_m, *settings.vehicle_height_m)
+    weights = settings.standing_weight, settings.obstacle_weight, settings.unknown_weight, settings.memory
+    return np.array([*sizes, settings.moving_mps, settings.size_tolerance, *weights])
 
 
 _CONFIRMED = int(TrackStatus.CONFIRMED)
@@ -55,14 +60,16 @@ _CONFIRMED = int(TrackStatus.CONFIRMED)
 
 @njit(cache=True, nogil=True)
 def _classify(
-    kinematics: tuple[Ints, Floats, Floats],
+    status: Ints,
+    state: Floats,
+    covariance: Floats,
     size: Floats,
     earlier: Floats,
-    rules: tuple[tuple[float, ...], tuple[float, float], tuple[float, float, float, float]],
+    rules: Floats,
     probability: Floats,
 ) -> None:
-    status, state, covariance = kinematics
-    limits, (moving_mps, tolerance), (standing, obstacle, unknown, memory) = rules
+    limits, moving_mps, tolerance = rules[:8], rules[8], rules[9]
+    standing, obstacle, unknown, memory = rules[10], rules[11], rules[12], rules[13]
     for i in range(status.size):
         probability[i] = earlier[i]
         if status[i] != _CONFIRMED:
