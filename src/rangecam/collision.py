@@ -1,12 +1,16 @@
 """Which tracks will hit us, when, and how sure that is."""
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from rangecam.settings import Positive, settings
-from rangecam.types import Collisions, Ego, Floats, Tracks
+from rangecam.types import Collisions, Ego, Floats, Ints, Tracks, TrackStatus
+
+_TENTATIVE = int(TrackStatus.TENTATIVE)
 
 
 @settings
@@ -35,13 +39,51 @@ def predict_collisions(tracks: Tracks, ego: Ego, settings: CorridorSettings) -> 
     p_collision: probability that the surface arrives within the horizon times that of the object then overlapping the
     corridor. In a turn the corridor bends with the yaw rate; where the own speed is unknown, as for a standing object.
     """
-    n = len(tracks)
-    new = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    shape = tracks.near_offset_m, tracks.size_m
-    limits = settings.width_m, settings.front_m, settings.horizon_s, 1.0 if settings.use_acceleration else 0.0
-    turning = ego.yaw_rate_radps, math.nan if ego.speed_mps is None else ego.speed_mps
-    _predict(tracks.state, tracks.covariance, shape, limits, turning, new)
-    return Collisions(*new)
+    return look_ahead(tracks, ego, settings, 1.0)[0]
+
+
+class InPath(NamedTuple):
+    """A confirmed track that is in the corridor or will be when it reaches us."""
+
+    distance_m: float
+    """Free way to its nearest surface."""
+    speed_x_mps: float
+    """Relative to us."""
+    speed_sigma_mps: float
+    n_pixels: float
+    track_id: float
+    class_index: float
+    """Of the most probable of `CLASSES`."""
+    ttc_s: float
+    ttc_sigma_s: float
+    p_collision: float
+
+
+def look_ahead(
+    tracks: Tracks, ego: Ego, settings: CorridorSettings, min_probability: float
+) -> tuple[Collisions, list[InPath]]:
+    """Return the collisions of `predict_collisions`, and the tracks that are in the path, nearest first.
+
+    Confirmed tracks count, also while they coast through missed frames, if they overlap the corridor now or will
+    collide with at least `min_probability`, and are not behind our front.
+    """
+    n = tracks.status.size
+    new, path = np.empty((4, n)), np.empty((n, len(InPath._fields)))
+    turning = float(ego.yaw_rate_radps), math.nan if ego.speed_mps is None else float(ego.speed_mps)
+    # fmt: off
+    found = _look_ahead(
+        tracks.status, tracks.state, tracks.covariance, tracks.size_m, tracks.near_offset_m,
+        tracks.n_pixels, tracks.track_id, tracks.class_probability,
+        _limits(settings), float(min_probability), *turning, new, path,
+    )
+    # fmt: on
+    return Collisions(new[0], new[1], new[2], new[3]), [InPath(*row) for row in path[:found].tolist()]
+
+
+@lru_cache(maxsize=16)
+def _limits(settings: CorridorSettings) -> Floats:
+    """Return what `_look_ahead` is told by the settings, as one array: each further argument costs every frame."""
+    return np.array([settings.width_m, settings.front_m, settings.horizon_s, float(settings.use_acceleration)])
 
 
 _NEVER = 1e-9  # closing rate, 1/s: what takes decades to come does not come
@@ -60,40 +102,69 @@ def time_to_reach(distance_m: float, speed_mps: float, acceleration_mps2: float)
 
 
 @njit(cache=True, nogil=True)
-def _predict(
+def _look_ahead(
+    status: Ints,
     state: Floats,
     covariance: Floats,
-    shape: tuple[Floats, Floats],
-    limits: tuple[float, float, float, float],
-    turning: tuple[float, float],
-    new: tuple[Floats, Floats, Floats, Floats],
-) -> None:
-    ttc, ttc_sigma, lateral, probability = new
-    width, front, horizon, use_a = limits
-    for i in range(ttc.size):
-        x, P, near_offset, size = state[i], covariance[i], shape[0][i], shape[1][i]
-        distance, v, a = x[0] - near_offset - front, x[1], use_a * x[2]
-        behind = distance + max(size[0], near_offset) <= 0
-        t = math.inf if behind else time_to_reach(distance, v, a)
-        bend = _bend(v, turning)
-        ttc[i], ttc_sigma[i], lateral[i] = t, math.nan, math.nan
-        t_x = t_v = t_a = 0.0  # derivatives of t: from d + v t + a t^2/2 = 0
-        if 0 < t < math.inf:
-            slope = v + a * t
-            t_x, t_v, t_a = -1 / slope, -t / slope, -use_a * t * t / 2 / slope
-            ttc_sigma[i] = _sigma(P, (t_x, t_v, t_a), (0.0, 0.0, 0.0))
-        if t < math.inf:
-            lateral[i] = _at(x[3], x[4], use_a * x[5] + bend, t)
-        if behind:
-            probability[i] = 0.0
-            continue
-        arrives = 1.0 if t == 0 else _p_arrival(x, P, distance, a, horizon, use_a)
-        at = min(t, horizon)
-        y, v_y = _at(x[3], x[4], use_a * x[5] + bend, at), x[4] + (use_a * x[5] + bend) * at
-        later = v_y if t <= horizon else 0.0  # a later arrival shifts it sideways
-        sigma = _sigma(P, (later * t_x, later * t_v, later * t_a), (1.0, at, use_a * at * at / 2))
-        half = (width + size[1]) / 2
-        probability[i] = arrives * (_normal((half - y) / sigma) - _normal((-half - y) / sigma))
+    size: Floats,
+    near_offset: Floats,
+    n_pixels: Floats,
+    track_id: Ints,
+    class_probability: Floats,
+    limits: Floats,
+    min_probability: float,
+    yaw_rate: float,
+    speed: float,
+    new: Floats,
+    path: Floats,
+) -> int:
+    """Write the collisions (4, N), and those in the path into the first rows of path; return how many these are."""
+    width, front, horizon, use_a = limits[0], limits[1], limits[2], limits[3]
+    found = 0
+    for i in range(status.size):
+        x, P = state[i], covariance[i]
+        distance = x[0] - near_offset[i] - front
+        behind = distance + max(size[i, 0], near_offset[i]) <= 0
+        half = (width + size[i, 1]) / 2
+        bend = _bend(x[1], yaw_rate, speed)
+        t, t_sigma, y, p = _collision(x, P, distance, behind, half, horizon, use_a, bend)
+        new[0, i], new[1, i], new[2, i], new[3, i] = t, t_sigma, y, p
+        inside = abs(x[3]) <= half or p >= min_probability
+        if inside and not behind and distance < math.inf and status[i] != _TENTATIVE:
+            at = found
+            while at > 0 and path[at - 1, 0] > distance:  # keeps the nearest first
+                path[at] = path[at - 1]
+                at -= 1
+            row, sigma = path[at], math.sqrt(P[1, 1])
+            row[0], row[1], row[2], row[3], row[4] = distance, x[1], sigma, n_pixels[i], track_id[i]
+            row[5], row[6], row[7], row[8] = np.argmax(class_probability[i]), t, t_sigma, p
+            found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _collision(
+    x: Floats, P: Floats, distance: float, behind: bool, half: float, horizon: float, use_a: float, bend: float
+) -> tuple[float, float, float, float]:
+    """Return time, its sigma, lateral position and probability of the collision of one track."""
+    v, a, a_y = x[1], use_a * x[2], use_a * x[5] + bend
+    t = math.inf if behind else time_to_reach(distance, v, a)
+    t_sigma = lateral = math.nan
+    t_x = t_v = t_a = 0.0  # derivatives of t: from d + v t + a t^2/2 = 0
+    if 0 < t < math.inf:
+        slope = v + a * t
+        t_x, t_v, t_a = -1 / slope, -t / slope, -use_a * t * t / 2 / slope
+        t_sigma = _sigma(P, (t_x, t_v, t_a), (0.0, 0.0, 0.0))
+    if t < math.inf:
+        lateral = _at(x[3], x[4], a_y, t)
+    if behind:
+        return t, t_sigma, lateral, 0.0
+    arrives = 1.0 if t == 0 else _p_arrival(x, P, distance, a, horizon, use_a)
+    at = min(t, horizon)
+    y, v_y = _at(x[3], x[4], a_y, at), x[4] + a_y * at
+    later = v_y if t <= horizon else 0.0  # a later arrival shifts it sideways
+    sigma = _sigma(P, (later * t_x, later * t_v, later * t_a), (1.0, at, use_a * at * at / 2))
+    return t, t_sigma, lateral, arrives * (_normal((half - y) / sigma) - _normal((-half - y) / sigma))
 
 
 @njit(cache=True, nogil=True)
@@ -102,9 +173,8 @@ def _at(x: float, v: float, a: float, t: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _bend(v: float, turning: tuple[float, float]) -> float:
+def _bend(v: float, yaw_rate: float, speed: float) -> float:
     """Return the lateral acceleration, in turning axes, of an object that moves straight on: Coriolis minus our own."""
-    yaw_rate, speed = turning
     return -2 * yaw_rate * v - yaw_rate * (speed if math.isfinite(speed) else -v)
 
 

@@ -2,9 +2,6 @@
 
 import math
 
-import numpy as np
-from numba import njit
-
 from rangecam.brake.rule import (
     RULES,
     DecisionSettings,
@@ -13,10 +10,10 @@ from rangecam.brake.rule import (
     needed_deceleration,
     stopping_distance,
 )
-from rangecam.collision import predict_collisions
-from rangecam.types import CLASSES, Collisions, Decision, Ego, Floats, Ints, Tracks, TrackStatus
+from rangecam.collision import InPath, look_ahead
+from rangecam.types import CLASSES, Decision, Ego, Tracks
 
-_TENTATIVE = int(TrackStatus.TENTATIVE)
+_NAMES = [name.replace("unknown", "object") for name in CLASSES]
 
 
 def closing_speed(
@@ -42,72 +39,44 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
     they reach us. The nearest that demands braking decides, else the nearest. Where the own speed is unknown it is
     taken to be the closing speed.
     """
-    collisions = predict_collisions(tracks, ego, settings.corridor)
-    distance_m = _free_way(tracks, collisions, settings)
+    collisions, in_path = look_ahead(tracks, ego, settings.corridor, settings.min_probability)
     known = ego.speed_mps if ego.speed_mps is not None and math.isfinite(ego.speed_mps) else None
-    chosen, brake, threat = -1, False, Threat(math.nan, math.nan, 0.0)
-    for i in distance_m.argsort():
-        if not distance_m[i] < math.inf:
-            break
-        sigma_mps = math.sqrt(tracks.covariance[i, 1, 1])
-        closing = closing_speed(float(tracks.state[i, 1]), sigma_mps, known, settings)
-        this = Threat(float(distance_m[i]), closing, float(tracks.n_pixels[i]))
-        brake = RULES[settings.rule](this, closing if known is None else known, ego.forward, settings)
-        if brake or chosen < 0:
-            chosen, threat = int(i), this
+    chosen: tuple[InPath, Threat, float] | None = None
+    brake = False
+    for each in in_path:
+        closing = closing_speed(each.speed_x_mps, each.speed_sigma_mps, known, settings)
+        threat = Threat(each.distance_m, closing, each.n_pixels)
+        own_speed = closing if known is None else known
+        brake = RULES[settings.rule](threat, own_speed, ego.forward, settings)
+        if brake or chosen is None:
+            chosen = each, threat, own_speed
         if brake:
             break
-    if chosen < 0:
+    if chosen is None:
         return Decision(time_s=tracks.time_s, brake=False, reason="no object in the path", collisions=collisions)
-    name = CLASSES[int(tracks.class_probability[chosen].argmax())].replace("unknown", "object")
-    own_speed = threat.closing_speed_mps if known is None else known
+    track, threat, own_speed = chosen
+    stopping_m = stopping_distance(own_speed, own_speed - threat.closing_speed_mps, settings)
     return Decision(
         time_s=tracks.time_s,
         brake=brake,
-        reason=_reason(name, threat, own_speed, ego.forward, settings),
+        reason=_reason(_NAMES[int(track.class_index)], threat, stopping_m, own_speed, ego.forward, settings),
         collisions=collisions,
-        track_id=int(tracks.track_id[chosen]),
+        track_id=int(track.track_id),
         distance_m=threat.distance_m,
         closing_speed_mps=threat.closing_speed_mps,
-        stopping_distance_m=stopping_distance(own_speed, own_speed - threat.closing_speed_mps, settings),
+        stopping_distance_m=stopping_m,
         needed_deceleration_mps2=needed_deceleration(threat.distance_m, threat.closing_speed_mps, settings),
-        ttc_s=float(collisions.ttc_s[chosen]),
-        ttc_sigma_s=float(collisions.ttc_sigma_s[chosen]),
-        p_collision=float(collisions.p_collision[chosen]),
+        ttc_s=track.ttc_s,
+        ttc_sigma_s=track.ttc_sigma_s,
+        p_collision=track.p_collision,
     )
 
 
-def _free_way(tracks: Tracks, collisions: Collisions, settings: DecisionSettings) -> Floats:
-    """Return the way in m to the nearest surface of each track (N,), inf for those that do not count."""
-    distance_m = np.empty(len(tracks.status))
-    limits = settings.corridor.width_m, settings.corridor.front_m, settings.min_probability
-    shapes = tracks.size_m, tracks.near_offset_m
-    _free_ways(tracks.status, tracks.state, shapes, collisions.p_collision, limits, distance_m)
-    return distance_m
-
-
-@njit(cache=True, nogil=True)
-def _free_ways(
-    status: Ints,
-    state: Floats,
-    shapes: tuple[Floats, Floats],
-    p_collision: Floats,
-    limits: tuple[float, float, float],
-    distance: Floats,
-) -> None:
-    width, front, min_probability = limits
-    for i in range(status.size):
-        size, near_offset = shapes[0][i], shapes[1][i]
-        way = state[i, 0] - near_offset - front
-        ahead = way + max(size[0], near_offset) > 0
-        inside = abs(state[i, 3]) <= (width + size[1]) / 2 or p_collision[i] >= min_probability
-        distance[i] = way if ahead and inside and status[i] != _TENTATIVE else math.inf
-
-
-def _reason(name: str, threat: Threat, own_speed_mps: float, forward: bool, settings: DecisionSettings) -> str:
+def _reason(
+    name: str, threat: Threat, stopping_m: float, own_speed_mps: float, forward: bool, settings: DecisionSettings
+) -> str:
     """Return one phrase for people: the numbers, and what speaks against braking although there is too little way."""
     closing = threat.closing_speed_mps
-    stopping_m = stopping_distance(own_speed_mps, own_speed_mps - closing, settings)
     if closing <= 0:
         return f"{name} at {threat.distance_m:.1f} m, not closing"
     phrase = f"{name} at {threat.distance_m:.1f} m closing at {closing:.1f} m/s: stopping needs {stopping_m:.1f} m"
