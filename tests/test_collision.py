@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rangecam.collision import CorridorSettings, predict_collisions, time_to_reach
+from rangecam.collision import CorridorSettings, look_ahead, predict_collisions, time_to_reach
 from rangecam.types import POSITION, Collisions, Ego, Tracks, TrackStatus
 
 NO_SIZE = (0.0, 0.0, 0.0)
@@ -169,3 +169,25 @@ def test_each_track_is_predicted_on_its_own_and_nothing_is_modified() -> None:
         np.testing.assert_array_equal(getattr(together, name), values)
     assert len(predict(Tracks.empty())) == 0
     assert together.state[0][POSITION].tolist() == [10, 0, 0]
+
+
+def test_the_tracks_in_the_path_come_nearest_first_with_what_is_known_of_them() -> None:
+    states = [
+        [9, -2, 0, 0.1, 0, 0],
+        [4, -1, 0, 0, 0, 0],
+        [6, -2, 0, 5.0, 0, 0],
+        [-3, 0, 0, 0, 0, 0],
+        [5, 0, 0, 0, 0, 0],
+    ]
+    single = [one_track(s, 0.04) for s in states]
+    names = [f.name for f in dataclasses.fields(Tracks) if isinstance(getattr(single[0], f.name), np.ndarray)]
+    tracks = Tracks(**{name: np.concatenate([getattr(t, name) for t in single]) for name in names})
+    tracks.track_id[:] = range(1, 6)
+    tracks.class_probability[1] = [0.1, 0.6, 0.2, 0.1]
+    tracks.status[4] = TrackStatus.TENTATIVE
+    collisions, in_path = look_ahead(tracks, Ego(), CorridorSettings(front_m=0.5), 0.5)
+    assert [each.track_id for each in in_path] == [2, 1]
+    nearest = in_path[0]
+    assert (nearest.distance_m, nearest.speed_x_mps, nearest.n_pixels, nearest.class_index) == (3.5, -1, 100, 1)
+    assert nearest.speed_sigma_mps == pytest.approx(0.2)
+    assert nearest[-3:] == (collisions.ttc_s[1], collisions.ttc_sigma_s[1], collisions.p_collision[1])

@@ -59,6 +59,9 @@ class InPath(NamedTuple):
     p_collision: float
 
 
+_COLUMNS = len(InPath._fields)
+
+
 def look_ahead(
     tracks: Tracks, ego: Ego, settings: CorridorSettings, min_probability: float
 ) -> tuple[Collisions, list[InPath]]:
@@ -68,7 +71,7 @@ def look_ahead(
     collide with at least `min_probability`, and are not behind our front.
     """
     n = tracks.status.size
-    new, path = np.empty((4, n)), np.empty((n, len(InPath._fields)))
+    new, path = np.empty((4, n)), np.empty((n, _COLUMNS))
     turning = float(ego.yaw_rate_radps), math.nan if ego.speed_mps is None else float(ego.speed_mps)
     # fmt: off
     found = _look_ahead(

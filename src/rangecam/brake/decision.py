@@ -42,12 +42,12 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
     collisions, in_path = look_ahead(tracks, ego, settings.corridor, settings.min_probability)
     known = ego.speed_mps if ego.speed_mps is not None and math.isfinite(ego.speed_mps) else None
     chosen: tuple[InPath, Threat, float] | None = None
-    brake = False
+    brake, must_brake = False, RULES[settings.rule]
     for each in in_path:
         closing = closing_speed(each.speed_x_mps, each.speed_sigma_mps, known, settings)
         threat = Threat(each.distance_m, closing, each.n_pixels)
         own_speed = closing if known is None else known
-        brake = RULES[settings.rule](threat, own_speed, ego.forward, settings)
+        brake = must_brake(threat, own_speed, ego.forward, settings)
         if brake or chosen is None:
             chosen = each, threat, own_speed
         if brake:

@@ -53,10 +53,10 @@ class Threat(NamedTuple):
 
 def must_brake(threat: Threat, own_speed_mps: float, forward: bool, settings: DecisionSettings) -> bool:
     """Return whether an object in the path demands emergency braking (Steinbäck 2016, algorithm 4.4)."""
-    stopping_m = stopping_distance(own_speed_mps, own_speed_mps - threat.closing_speed_mps, settings)
+    object_mps = own_speed_mps - threat.closing_speed_mps
     return (
         threat.closing_speed_mps > 0
-        and threat.distance_m < settings.margin * stopping_m
+        and threat.distance_m < settings.margin * stopping_distance(own_speed_mps, object_mps, settings)
         and is_object(threat, settings)
         and own_speed_mps > settings.min_speed_mps
         and forward
