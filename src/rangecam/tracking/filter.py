@@ -73,7 +73,8 @@ def advance(
     _update(x, P, took, measured, means[2])
     seen, new = (label, position, size, near, pixels), (counts[4], new_shape, means[0], means[1])
     _reshape(took, (shape, near_offset, n_pixels), seen, weight, new)
-    return _count(took, (status, age, hits, misses), P, rules[5:], counts), _left_over(took, position, R)
+    ended = _count(took, (status, age, hits, misses), P, rules[5:], counts)
+    return ended, left_over(took, position, R, np.empty_like(label))
 
 
 @njit(cache=True, nogil=True)
@@ -260,14 +261,18 @@ def _reshape(
 
 
 @njit(cache=True, nogil=True)
-def _left_over(took: Ints, position: Floats, R: Floats) -> int:
-    """Return how many finite segments no track took."""
+def left_over(took: Ints, position: Floats, R: Floats, first: Ints) -> int:
+    """Write the indices of the finite segments that no track took into the first of `first`; return how many."""
     n = 0
-    for j in range(position.shape[0]):
+    taken = np.zeros(first.size, np.bool_)
+    for i in range(took.size):
+        if took[i] >= 0:
+            taken[took[i]] = True
+    for j in range(first.size):
         total = 0.0
         for a in range(3):
             total += position[j, a] + R[j, a, 0] + R[j, a, 1] + R[j, a, 2]
-        n += math.isfinite(total)
-    for i in range(took.size):
-        n -= took[i] >= 0
+        if math.isfinite(total) and not taken[j]:
+            first[n] = j
+            n += 1
     return n

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.tracking.filter import GONE, Seen, complete
+from rangecam.tracking.filter import GONE, Seen, complete, left_over
 from rangecam.tracking.settings import TrackingSettings
-from rangecam.types import ACCELERATION, CLASSES, POSITION, VELOCITY, Ints, Tracks, TrackStatus
+from rangecam.types import CLASSES, Ints, Tracks, TrackStatus
 
 
 def delete(tracks: Tracks) -> Tracks:
@@ -23,17 +23,15 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
     took (N',): index of the segment of each track before any ended.
     """
     label, position, covariance, size, near, n_pixels = seen
-    R = np.empty_like(covariance)
+    R, first = np.empty_like(covariance), np.empty_like(label)
     complete(covariance, size, settings.position_sigma_m**2, settings.extent_sigma**2, R)
-    finite = np.isfinite(np.column_stack([position, R.reshape(-1, 9)])).all(axis=1)
-    first = np.setdiff1d(np.flatnonzero(finite), took)
+    first = first[: left_over(took, position, R, first)]
     position = position[first]
-    n = len(position)
+    n = len(first)
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))
-    state[:, POSITION] = position
-    P[np.ix_(range(n), POSITION, POSITION)] = R[first]
-    P[:, VELOCITY, VELOCITY] = settings.speed_sigma_mps**2
-    P[:, ACCELERATION, ACCELERATION] = settings.acceleration_sigma_mps2**2
+    state[:, ::3] = position  # as `POSITION`, but a slice is quicker than a list
+    P[:, range(9), range(9)] = (0.0, settings.speed_sigma_mps**2, settings.acceleration_sigma_mps2**2) * 3
+    P[:, ::3, ::3] = R[first]
     unknown[:, CLASSES.index("unknown")] = 1.0
     once = np.ones(n, int)
     status = TrackStatus.CONFIRMED if settings.confirm_hits == 1 else TrackStatus.TENTATIVE
