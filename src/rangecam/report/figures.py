@@ -224,8 +224,8 @@ def timeline(moments: Sequence[Moment], margin: float) -> str:
     axes[1].plot(t, columns["closing_speed_mps"], marker=mark, color=PALETTE[0], label="closing speed")
     if np.isfinite(columns["ego_speed_mps"]).any():
         axes[1].plot(t, columns["ego_speed_mps"], linestyle="--", marker=mark, color=INK, label="own speed")
-    fastest = np.nanmax([columns["closing_speed_mps"], columns["ego_speed_mps"]], initial=0.5)
-    axes[1].set(ylabel="m/s", ylim=(0, 1.4 * fastest))
+    speeds = np.concatenate([columns["closing_speed_mps"], columns["ego_speed_mps"]])
+    axes[1].set(ylabel="m/s", ylim=(0, 1.4 * speeds[np.isfinite(speeds)].max(initial=0.5)))
     ttc = np.where(columns["ttc_s"] <= 10, columns["ttc_s"], np.nan)  # later ones are no news
     spread = np.where(np.isfinite(ttc), 2 * columns["ttc_sigma_s"], np.nan)
     axes[2].fill_between(t, np.clip(ttc - spread, 0, None), ttc + spread, color=PALETTE[3], alpha=0.2, linewidth=0)
