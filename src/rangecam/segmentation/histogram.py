@@ -1,6 +1,7 @@
 """Segmentation by the histogram of distances: what lies between two minima is one object."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -22,8 +23,9 @@ def range_histogram(image: RangeImage, points: Floats, settings: SegmentSettings
     over more than `MAX_BINS` bins.
     """
     distance = points[..., 0] if settings.histogram_of == "depth" else image.range_m
-    low, high = _spread(distance, image.why)
-    labels = np.zeros(image.shape, np.int32)
+    labels, values = np.zeros(image.shape, np.int32), np.empty(distance.size, np.float32)
+    places = np.empty(distance.size, np.int32)
+    number, low, high = _gather(distance, image.why, values, places)
     if low > high:
         return labels
     bins = math.floor((high - low) / settings.bin_width_m) + 1
@@ -32,52 +34,57 @@ def range_histogram(image: RangeImage, points: Floats, settings: SegmentSettings
             f"valid distances from {low:.3g} to {high:.3g} m need {bins} bins of {settings.bin_width_m} m; "
             f"at most {MAX_BINS}: check the data, or set segments.bin_width_m"
         )
-    counts = np.zeros(bins, np.int64)
-    _count(distance, image.why, low, settings.bin_width_m, counts)
-    label_of_bin = _label_bins(counts, settings)
-    _label(distance, image.why, low, settings.bin_width_m, label_of_bin, labels)
+    _label(values, places, number, low, bins, _criteria(settings), labels)
     return labels
 
 
-@njit(cache=True, nogil=True)
-def _spread(distance: Floats, why: Ints) -> tuple[float, float]:
-    low, high = np.inf, -np.inf
-    for row in range(why.shape[0]):
-        for column in range(why.shape[1]):
-            value = float(distance[row, column])
-            low = value if why[row, column] == 0 and value < low else low
-            high = value if why[row, column] == 0 and value > high else high
-    return low, high
-
-
-@njit(cache=True, nogil=True)
-def _count(distance: Floats, why: Ints, low: float, width: float, counts: Ints) -> None:
-    for row in range(why.shape[0]):
-        for column in range(why.shape[1]):
-            if why[row, column] == 0:
-                counts[int((distance[row, column] - low) / width)] += 1
-
-
-@njit(cache=True, nogil=True)
-def _label(distance: Floats, why: Ints, low: float, width: float, label_of_bin: Ints, labels: Ints) -> None:
-    for row in range(why.shape[0]):
-        for column in range(why.shape[1]):
-            if why[row, column] == 0:
-                labels[row, column] = label_of_bin[int((distance[row, column] - low) / width)]
-
-
-def _label_bins(counts: Ints, settings: SegmentSettings) -> Ints:
-    """Return the label of each bin, 0 for none."""
+@lru_cache(maxsize=16)
+def _criteria(settings: SegmentSettings) -> Floats:
+    """Return what the kernels need of the settings, in their order."""
     half = settings.smoothing_bins // 2
-    criteria = (settings.min_pixels, settings.min_peak, settings.max_valley_to_peak, settings.max_valley_difference)
-    labels = np.zeros(len(counts), np.int32)
-    _divide(counts, half, settings.small_bin, criteria, labels)
-    return labels
+    limits = settings.min_pixels, settings.min_peak, settings.max_valley_to_peak, settings.max_valley_difference
+    return np.array([settings.bin_width_m, half, settings.small_bin, *limits], float)
 
 
 @njit(cache=True, nogil=True)
-def _divide(counts: Ints, half: int, small: float, criteria: tuple[float, float, float, float], labels: Ints) -> None:
+def _gather(distance: Floats, why: Ints, values: Floats, places: Ints) -> tuple[int, float, float]:
+    """List the distances of valid pixels and where they are; return their number, the least and the greatest."""
+    height, width = why.shape
+    number, low, high = 0, np.inf, -np.inf
+    for row in range(height):
+        least = np.uint8(255)
+        for column in range(width):
+            least = min(least, why[row, column])
+        if least > 0:
+            continue
+        for column in range(width):
+            if why[row, column] == 0:
+                value = float(distance[row, column])
+                low, high = (value if value < low else low), (value if value > high else high)
+                values[number], places[number] = value, row * width + column
+                number += 1
+    return number, low, high
+
+
+@njit(cache=True, nogil=True)
+def _label(  # type: ignore[no-untyped-def]
+    values, places, number, low, bins, criteria, labels
+):
+    """Give each listed pixel the label of its bin."""
+    counts, label_of_bin, flat = np.zeros(bins, np.int64), np.zeros(bins, np.int32), labels.reshape(-1)
+    bin_of = np.empty(number, np.int32)
+    for i in range(number):
+        bin_of[i] = int((values[i] - low) / criteria[0])
+        counts[bin_of[i]] += 1
+    _divide(counts, criteria, label_of_bin)
+    for i in range(number):
+        flat[places[i]] = label_of_bin[bin_of[i]]
+
+
+@njit(cache=True, nogil=True)
+def _divide(counts: Ints, criteria: Floats, labels: Ints) -> None:
     """Number the objects in the runs of bins that are not very small; bins outside the histogram count as empty."""
+    half, small, min_pixels, min_peak = int(criteria[1]), criteria[2], criteria[3], criteria[4]
     bins = len(counts)
     smoothed = np.zeros(bins)
     for place in range(bins):
@@ -91,13 +98,13 @@ def _divide(counts: Ints, half: int, small: float, criteria: tuple[float, float,
         if end > first:
             borders = _minima(smoothed, first, end)
             while len(borders) > 2:
-                worst = _worst(smoothed, borders, criteria[2], criteria[3])
+                worst = _worst(smoothed, borders, criteria[5], criteria[6])
                 if worst < 0:
                     break
                 borders.pop(worst)
             for place in range(len(borders) - 1):
                 low, high = borders[place], borders[place + 1]
-                if counts[low:high].sum() >= criteria[0] and smoothed[low:high].max() >= criteria[1]:
+                if counts[low:high].sum() >= min_pixels and smoothed[low:high].max() >= min_peak:
                     label += 1
                     labels[low:high] = label
         first = end + 1

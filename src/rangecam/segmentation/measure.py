@@ -1,6 +1,7 @@
 """Where each segment is, how large, and how surely that is known."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -20,101 +21,103 @@ def measure_segments(
     the image position (König 2008, 6.4.3.3, E-K-22). Sizes come from the spread of the points: n pixels in a row have a
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
     """
-    count = int(labels.max(initial=0))
-    range_m, sigma_m, amplitude = (
-        np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m, image.amplitude)
-    )
-    sums, bounds, box = np.zeros((count, 10)), np.empty((count, 6), np.float32), np.empty((count, 4), np.int64)
-    _sum(labels, points, (range_m, sigma_m, amplitude), (sums, bounds, box))
-    near_m = np.empty(count)
-    _nearest(labels, points, (bounds, box), sums[:, 0] * settings.near_fraction, near_m)
+    count, shape = _number(labels), image.shape
+    sums, bounds, box = np.empty((count, 10)), np.empty((count, 6), np.float32), np.empty((count, 4), np.int64)
+    range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
+    _sum(labels, points, range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32), sums, bounds, box)
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
-    noise = settings.shared_noise_pixels, settings.sigma_systematic_m, settings.sigma_pixel, settings.edge_jitter
-    perspective = lens.projection == "perspective"
-    camera = rotation(mounting), position(mounting), pixel_pitch(lens, image.shape), perspective
-    _evaluate((sums, bounds, box), camera, noise, position_m, size_m, sigmas)
-    mean = sums[:, 7:10] / sums[:, :1]
+    means, near_m, n_pixels = np.empty((2, count)), np.empty(count), np.empty(count, np.int64)
+    _nearest(labels, points, sums, bounds, box, settings.near_fraction, near_m)
+    known = _known(lens, mounting, shape, settings)
+    _evaluate(sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
-        covariance_m2=point_covariance(position_m, sigmas, lens, mounting, image.shape),
+        covariance_m2=point_covariance(position_m, sigmas, lens, mounting, shape),
         size_m=size_m,
         near_m=near_m,
-        n_pixels=sums[:, 0].astype(np.int64),
+        n_pixels=n_pixels,
         box=box,
-        range_m=mean[:, 0],
+        range_m=means[0],
         sigma_range_m=sigmas[:, 2],
-        amplitude=mean[:, 2],
+        amplitude=means[1],
+    )
+
+
+@lru_cache(maxsize=16)
+def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: SegmentSettings) -> Floats:
+    """Return what `_evaluate` needs of camera and settings, in its order."""
+    noise = settings.shared_noise_pixels, settings.sigma_systematic_m, settings.sigma_pixel, settings.edge_jitter
+    pitch = pixel_pitch(lens, shape)
+    return np.array(
+        [*rotation(mounting).ravel(), *position(mounting), *pitch, *noise, lens.projection == "perspective"], float
     )
 
 
 @njit(cache=True, nogil=True)
-def _sum(labels: Ints, points: Floats, planes: tuple[Floats, Floats, Floats], out: tuple[Floats, Floats, Ints]) -> None:
-    """Sum, run by run of one label in a row: number; points, their squares; range, sigma squared, amplitude."""
-    sums, bounds, box = out
-    bounds[:, :3], bounds[:, 3:] = np.inf, -np.inf
-    box[:, :2], box[:, 2:] = max(labels.shape), 0
-    width = labels.shape[1]
+def _number(labels: Ints) -> int:
+    most = np.int32(0)
     for row in range(labels.shape[0]):
-        for start in range(0, width, _BLOCK):
-            stop = min(start + _BLOCK, width)
-            if not _any(labels[row, start:stop]):
+        for column in range(labels.shape[1]):
+            most = max(most, labels[row, column])
+    return int(most)
+
+
+@njit(cache=True, nogil=True)
+def _sum(  # type: ignore[no-untyped-def]
+    labels, points, range_m, sigma_m, amplitude, sums, bounds, box
+):
+    """Sum, run by run of one label in a row: number; points, their squares; range, sigma squared, amplitude."""
+    height, width = labels.shape
+    sums[:] = 0
+    bounds[:, :3], bounds[:, 3:] = np.inf, -np.inf
+    box[:, :2], box[:, 2:] = max(height, width), 0
+    for row in range(height):
+        if not _any(labels, row):  # most of an image is background
+            continue
+        column = 0
+        while column < width:
+            label, first = labels[row, column], column
+            if label <= 0:
+                column += 1
                 continue
-            first = start
-            while first < stop:
-                label, end = labels[row, first], first + 1
-                while end < stop and labels[row, end] == label:
-                    end += 1
-                if label > 0:
-                    k = label - 1
-                    sums[k, 0] += end - first
-                    _sum_points(points[row, first:end], sums[k], bounds[k])
-                    for place in range(3):
-                        sums[k, 7 + place] += _sum_plane(planes[place][row, first:end], place == 1)
-                    box[k, 0], box[k, 1] = min(box[k, 0], row), min(box[k, 1], first)
-                    box[k, 2], box[k, 3] = max(box[k, 2], row + 1), max(box[k, 3], end)
-                first = end
-
-
-_BLOCK = 32  # most of an image is background: so many labels are looked at together
-
-
-@njit(cache=True, nogil=True)
-def _any(labels: Ints) -> bool:
-    seen = 0
-    for label in labels:
-        seen |= label
-    return seen != 0
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _sum_plane(values: Floats, squared: bool) -> float:
-    total = 0.0
-    for value in values:
-        exact = float(value)
-        total += exact * exact if squared else exact
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nnan", "nsz"})
-def _sum_points(points: Floats, sums: Floats, bounds: Floats) -> None:
-    for axis in range(3):
-        total, squares, low, high = 0.0, 0.0, bounds[axis], bounds[3 + axis]
-        for i in range(len(points)):
-            value = points[i, axis]
-            exact = float(value)
-            total += exact
-            squares += exact * exact
-            low, high = min(low, value), max(high, value)
-        sums[1 + axis] += total
-        sums[4 + axis] += squares
-        bounds[axis], bounds[3 + axis] = low, high
+            k = label - 1
+            x_sum, y_sum, z_sum, xx, yy, zz, ranges, variances, light = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            x_low, y_low, z_low = bounds[k, 0], bounds[k, 1], bounds[k, 2]
+            x_high, y_high, z_high = bounds[k, 3], bounds[k, 4], bounds[k, 5]
+            while column < width and labels[row, column] == label:
+                x, y, z = points[row, column, 0], points[row, column, 1], points[row, column, 2]
+                x_low, x_high = (x if x < x_low else x_low), (x if x > x_high else x_high)
+                y_low, y_high = (y if y < y_low else y_low), (y if y > y_high else y_high)
+                z_low, z_high = (z if z < z_low else z_low), (z if z > z_high else z_high)
+                exact_x, exact_y, exact_z = float(x), float(y), float(z)
+                x_sum, y_sum, z_sum = x_sum + exact_x, y_sum + exact_y, z_sum + exact_z
+                xx, yy, zz = xx + exact_x * exact_x, yy + exact_y * exact_y, zz + exact_z * exact_z
+                ranges += float(range_m[row, column])
+                sigma = float(sigma_m[row, column])
+                variances += sigma * sigma
+                light += float(amplitude[row, column])
+                column += 1
+            one = (float(column - first), x_sum, y_sum, z_sum, xx, yy, zz, ranges, variances, light)
+            for place in range(10):
+                sums[k, place] += one[place]
+            bounds[k, 0], bounds[k, 1], bounds[k, 2] = x_low, y_low, z_low
+            bounds[k, 3], bounds[k, 4], bounds[k, 5] = x_high, y_high, z_high
+            box[k, 0], box[k, 1] = min(box[k, 0], row), min(box[k, 1], first)
+            box[k, 2], box[k, 3] = max(box[k, 2], row + 1), max(box[k, 3], column)
 
 
 @njit(cache=True, nogil=True)
-def _nearest(labels: Ints, points: Floats, known: tuple[Floats, Ints], wanted: Floats, near_m: Floats) -> None:
-    """Find the x of each segment than which only the wanted number of pixels is nearer, by a histogram of x."""
-    bounds, box = known
+def _any(labels: Ints, row: int) -> bool:
+    seen = np.int32(0)
+    for column in range(labels.shape[1]):
+        seen |= labels[row, column]
+    return bool(seen != 0)
+
+
+@njit(cache=True, nogil=True)
+def _nearest(labels, points, sums, bounds, box, fraction, near_m):  # type: ignore[no-untyped-def]
+    """Find the x of each segment than which only a fraction of its pixels is nearer, by a histogram of x."""
     counts = np.empty(_NEAR_BINS, np.int32)
     for k in range(len(near_m)):
         low, width = bounds[k, 0], bounds[k, 3] - bounds[k, 0]
@@ -124,11 +127,11 @@ def _nearest(labels: Ints, points: Floats, known: tuple[Floats, Ints], wanted: F
             for column in range(box[k, 1], box[k, 3]):
                 if labels[row, column] == k + 1:
                     counts[int((points[row, column, 0] - low) * per_metre)] += 1
-        before, place = 0, 0
-        while before + counts[place] < wanted[k]:
+        before, place, wanted = 0, 0, fraction * sums[k, 0]
+        while before + counts[place] < wanted:
             before += counts[place]
             place += 1
-        within = (wanted[k] - before) / counts[place]
+        within = (wanted - before) / counts[place]
         near_m[k] = low + ((place + within) / per_metre if per_metre > 0 else 0.0)
 
 
@@ -136,26 +139,21 @@ _NEAR_BINS = 32
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _evaluate(
-    known: tuple[Floats, Floats, Ints],
-    camera: tuple[Floats, Floats, tuple[float, float], bool],
-    noise: tuple[float, float, float, float],
-    position_m: Floats,
-    size_m: Floats,
-    sigmas: Floats,
-) -> None:
-    sums, bounds, box = known
-    turn, centre, pitch, perspective = camera
-    shared, systematic, pixel, jitter = noise
+def _evaluate(  # type: ignore[no-untyped-def]
+    sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels
+):
+    turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
+    shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
     for k in range(len(sums)):
         number, variance = sums[k, 0], sums[k, 8] / sums[k, 0]
+        n_pixels[k], means[0, k], means[1, k] = number, sums[k, 7] / number, sums[k, 9] / number
         radius2, depth = 0.0, 0.0
         for axis in range(3):
             position_m[k, axis] = sums[k, 1 + axis] / number
             away = position_m[k, axis] - centre[axis]
             radius2 += away * away
             depth += away * turn[axis, 0]
-        pixel_distance = depth if perspective else math.sqrt(radius2)
+        pixel_distance = depth if perspective != 0 else math.sqrt(radius2)
         for axis in range(3):
             across, up = turn[axis, 1] * pitch[0] * pixel_distance, turn[axis, 2] * pitch[1] * pixel_distance
             footprint2 = across * across + up * up
