@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from rangecam.errors import DataError, UsageError
-from rangecam.pulsed import RANGING, PulsedCamera
+from rangecam.pulsed import PulsedCamera
 from rangecam.pulsed.pixel import convert, noise_variance
+from rangecam.pulsed.ranging import RANGING
 from rangecam.pulsed.settings import Pixel, Taps
 from rangecam.types import RawFrame, Why
 

@@ -13,6 +13,8 @@ from rangecam.scene.view import View
 from rangecam.types import RangeImage, RawFrame, Why
 
 THREE_WINDOWS = {"camera": {"shutters": "abc", "frame_rate_hz": 30.0}}
+# Without a delay of the laser, the second window would see nothing nearer than 4.5 m.
+TWO_LATE = {"camera": {"shutters": "bb", "laser_delay_s": 30e-9}}
 # A camera for each method, and two planes that it needs; a method that is missing here fails the first test.
 CAMERAS: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
     "cw_four_phase": ("scaled_car", {}, ("phase_0", "phase_90")),
@@ -20,6 +22,10 @@ CAMERAS: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
     "mdsi2": ("usercams", THREE_WINDOWS, ("shutter_b", "shutter_c")),
     "mdsi3": ("usercams", {}, ("shutter_a", "shutter_b")),
     "mdsi4": ("usercams", {}, ("shutter_b", "shutter_a")),
+    "gradient1": ("usercams", {"camera": {"shutters": "aa"}}, ("shutter_a1", "shutter_a2")),
+    "gradient2": ("usercams", TWO_LATE, ("shutter_b1", "shutter_b2")),
+    "csi": ("usercams", {"camera": {"shutters": "a_delayed", "frame_rate_hz": 5.0}}, ("shutter_a_0", "shutter_a_9")),
+    "dcsi": ("usercams", {"camera": {"shutters": "ab_delayed", "frame_rate_hz": 2.0}}, ("shutter_a_3", "shutter_b_9")),
     "three_tap": ("generic_pulsed", {}, ("tap_1", "tap_3")),
     "processed": ("generic_range", {}, ("range_m", "range_m")),
 }

@@ -10,7 +10,7 @@ from rangecam.geometry import rays
 from rangecam.optics import ambient_on_sensor, irradiance_on_sensor
 from rangecam.pulsed.pixel import read_adaptively, responsivity
 from rangecam.pulsed.settings import PulsedCamera, Taps
-from rangecam.pulsed.signal import Window, collected_s, gate_windows, shutter_windows
+from rangecam.pulsed.signal import Window, collected_s, exposures, gate_windows
 from rangecam.scene.view import View
 from rangecam.types import Floats, RawFrame
 
@@ -43,7 +43,7 @@ def _pulses(camera: PulsedCamera) -> int:
     """Return the pulses of one image, before averaging."""
     if camera.readout == "three_tap":
         return camera.taps.pulses
-    return len(camera.shutters) * max(camera.pixel.accumulations)
+    return len(exposures(camera)) * max(camera.pixel.accumulations)
 
 
 def _shutter_planes(
@@ -53,18 +53,17 @@ def _shutter_planes(
 
     With averaging, every window is taken at the mean of its times.
     """
-    count, apart_s = len(camera.shutters), max(camera.pixel.accumulations) / camera.laser.repetition_hz
-    volts = responsivity(camera.pixel)
+    taken, apart_s = exposures(camera), max(camera.pixel.accumulations) / camera.laser.repetition_hz
+    volts, count = responsivity(camera.pixel), len(taken)
     single_v, ambient_vps = (np.empty((count, camera.rows, camera.columns)) for _ in range(2))
     widths_s = np.empty((count, 1, 1))
-    for i, name in enumerate(camera.shutters):
+    for i, (window, delay_s) in enumerate(taken.values()):
         seen = _look(view, time_s + (i - (count - 1) / 2) * apart_s, camera)
-        window = shutter_windows(camera)[name]
         widths_s[i] = window[1] - window[0]
-        single_v[i] = volts * laser_exposure(seen, window, camera.laser_delay_s, camera)  # eq 4.13
+        single_v[i] = volts * laser_exposure(seen, window, delay_s, camera)  # eq 4.13
         ambient_vps[i] = volts * ambient_irradiance(seen, camera)
     values_v, n_acc = read_adaptively(single_v, ambient_vps * widths_s, camera.pixel, camera.averages, rng)
-    planes = {f"shutter_{name}": values_v[i].astype(np.float32) for i, name in enumerate(camera.shutters)}
+    planes = {name: values_v[i].astype(np.float32) for i, name in enumerate(taken)}
     return planes | {"n_acc": n_acc, "ambient": ambient_vps.mean(axis=0).astype(np.float32)}
 
 

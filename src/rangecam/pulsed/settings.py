@@ -103,8 +103,9 @@ class PulsedCamera:
     readout: Literal["shutters", "three_tap"] = "shutters"
     """shutters: one window after the other, on pulses of their own, with analogue accumulation; three_tap: three gates
     on the same pulses (simulation)."""
-    shutters: Literal["ab", "ac", "bc", "abc"] = "ab"
-    """Windows taken, in this order: mdsi1 needs a and c, mdsi2 b and c, mdsi3 and mdsi4 a and b (simulation)."""
+    shutters: Literal["ab", "ac", "bc", "abc", "aa", "bb", "a_delayed", "ab_delayed"] = "ab"
+    """Windows taken, in this order: mdsi1 needs a and c, mdsi2 b and c, mdsi3 and mdsi4 a and b, gradient1 two as a,
+    gradient2 two as b; csi needs a_delayed, dcsi ab_delayed: their windows once for each laser delay (simulation)."""
     averages: PositiveInt = 1
     """Images averaged into one (n_av of König 2008, 4.1.5)."""
 
@@ -122,6 +123,20 @@ class PulsedCamera:
     """T_Int,a; none: as long as the pulse."""
     shutter_b_width_s: Positive | None = None
     """T_Int,b; none: as long as the pulse."""
+    gradient_step_s: Positive = 30e-9
+    """Delta T_Int of the gradient methods: window a2 closes so much before a1, b2 opens so much after b1; 5-50 ns in
+    5.2.1.3."""
+    gating_s: NonNegative = 0.0
+    """T_G: how long after window b window b1 opens; what returns earlier is not seen (eq 5.11)."""
+    delay_first_s: float = -200e-9
+    """csi, dcsi: the first delay of the laser, beside `laser_delay_s`; negative where the shutter waits. *open*"""
+    delay_step_s: Positive = 20e-9
+    """csi, dcsi: from one laser delay to the next. *open*"""
+    delay_count: Annotated[int, Interval(ge=3, le=100)] = 19
+    """csi, dcsi: number of laser delays. *open*"""
+    linear_part_s: Positive = 120e-9
+    """dcsi: length of the middle part of the difference curve to which the line is fitted; 126 ns of the measured
+    shapes are linear (N-K-048)."""
     shutter_edge_s: NonNegative = 0.0
     """Length of both edges of a window, which end with the switch; the sensor of the thesis has 60-70 ns (4.2.1.2)."""
     gate_width_s: Positive | None = None
@@ -139,7 +154,8 @@ class PulsedCamera:
     """Farther pixels are OUT_OF_RANGE; none: the end of the method's own range."""
     far_margin_sigmas: NonNegative = 2.0
     """Pixels that are not so many of their standard deviations nearer than the end of the method's own range are
-    OUT_OF_RANGE: they may as well lie beyond it, where the quotient stays at its limit."""
+    OUT_OF_RANGE: they may as well lie beyond it, where the quotient stays at its limit. For gradient2 that is the near
+    end."""
     min_snr: Annotated[float, Gt(0)] = 6.0
     """Pixels whose total signal is below so many of its standard deviations are LOW_AMPLITUDE: only above it is the
     noise of the quotient Gaussian."""

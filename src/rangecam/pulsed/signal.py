@@ -29,6 +29,42 @@ def shutter_windows(camera: PulsedCamera) -> dict[str, Window]:
     return {"a": (opens, middle), "b": (middle, closes), "c": (opens, closes)}
 
 
+def gradient_windows(camera: PulsedCamera, kind: str) -> tuple[Window, Window]:
+    """Return the two windows of a gradient method (König 2008, 3.4.2), of kind "a" or "b".
+
+    a1 and a2 open together, a2 closes `gradient_step_s` earlier; b1 opens `gating_s` after b, b2 that step later, both
+    as long as b (5.2.1.3). Raises UsageError for a step that leaves nothing of window a2.
+    """
+    (opens, closes), step_s = shutter_windows(camera)[kind], camera.gradient_step_s
+    if kind == "b":
+        first = (opens + camera.gating_s, closes + camera.gating_s)
+        return first, (first[0] + step_s, first[1] + step_s)
+    if step_s >= closes - opens:
+        raise UsageError(
+            f"camera.gradient_step_s = {step_s:g}: must be less than the width of window a, {closes - opens:g} s"
+        )
+    return (opens, closes), (opens, closes - step_s)
+
+
+def laser_delays(camera: PulsedCamera) -> Floats:
+    """Return the delays of the laser for csi and dcsi, s (delay_count,)."""
+    return camera.laser_delay_s + camera.delay_first_s + camera.delay_step_s * np.arange(camera.delay_count)
+
+
+@lru_cache(maxsize=8)
+def exposures(camera: PulsedCamera) -> dict[str, tuple[Window, float]]:
+    """Return window and laser delay of each plane that `camera.shutters` takes, by its name and in order of time."""
+    windows, taken, delay_s = shutter_windows(camera), camera.shutters, camera.laser_delay_s
+    if taken in ("aa", "bb"):
+        pair = gradient_windows(camera, taken[0])
+        return {f"shutter_{taken[0]}{i}": (window, delay_s) for i, window in enumerate(pair, 1)}
+    if taken in ("a_delayed", "ab_delayed"):
+        letters = taken.removesuffix("_delayed")
+        delays = enumerate(laser_delays(camera).tolist())
+        return {f"shutter_{name}_{i}": (windows[name], each_s) for i, each_s in delays for name in letters}
+    return {f"shutter_{name}": (windows[name], delay_s) for name in taken}
+
+
 def gate_windows(camera: PulsedCamera) -> dict[str, Window]:
     """Return the gates 1, 2, 3 of a three-tap sensor, which follow each other; gate 2 opens at 0."""
     width = camera.gate_width_s or camera.pulse_width_s
