@@ -39,10 +39,10 @@ def race(work: str, ours: Callable[[], Any], peer: str, theirs: Callable[[], Any
 
 
 def _block(function: Callable[[], Any]) -> int:
-    """Return how many calls take about 3 ms, after the first calls have compiled and filled the caches."""
+    """Return how many calls take about 10 ms, after the first calls have compiled and filled the caches."""
     for _ in range(3):
         function()
-    return max(1, round(3.0 / max(_timed(function, 3), 1e-4)))
+    return max(1, round(10.0 / max(_timed(function, 3), 1e-4)))
 
 
 def _timed(function: Callable[[], Any], calls: int) -> float:
