@@ -13,8 +13,8 @@ from scipy.ndimage import median_filter
 from scipy.stats import norm
 
 from rangecam.clean import STAGES, CleanSettings, clean, clean_stages
-from rangecam.clean.filters import _smooth, smooth
-from rangecam.clean.limits import area_of_interest, fit_floor, reference_amplitude
+from rangecam.clean.filters import smooth
+from rangecam.clean.limits import area_of_interest, fit_floor, floor_limit, reference_amplitude
 from rangecam.config import load_config
 from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
 from rangecam.types import RangeImage, Why
@@ -190,15 +190,20 @@ def test_a_pixel_between_two_surfaces_is_isolated():
 # --- median
 
 
+def middle(around):
+    """Return median and sigma of the pixel in the middle of (3, 3, 3): range, reach and 1/sigma of nine pixels."""
+    one, seen, never = np.zeros((1, 1), np.float32), np.zeros((1, 1), np.uint8), np.full((1, 1), np.inf, np.float32)
+    median, sigma = smooth(one, one, seen, np.asarray(around, np.float32), never, CleanSettings())
+    return median[0, 0], sigma[0, 0]
+
+
 def test_network_sorts_every_arrangement_of_zeros_and_ones():
     """N-S-043: a network that takes the median of all 512 arrangements of 0 and 1 takes it of all values."""
     around = np.empty((3, 3, 3), np.float32)
     around[1], around[2] = 10.0, 1.0
     for bits in itertools.product((0.0, 1.0), repeat=9):
         around[0] = np.reshape(bits, (3, 3))
-        median, sigma = np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)
-        _smooth(around, np.zeros(9, np.float32), median, sigma)
-        assert median[0, 0] == np.median(bits)
+        assert middle(around)[0] == np.median(bits)
 
 
 @given(st.integers(0, 10_000), st.sampled_from(["3x3", "3x1"]))
@@ -226,6 +231,23 @@ def test_median_across_edges_is_the_plain_median_of_scipy():
     result = cleaned(image(range_m), min_neighbours=0, median_across_edges=True)
     inner = np.s_[1:-1, 1:-1]
     assert_array_equal(result.range_m[inner], median_filter(range_m, 3)[inner])
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_pixels_skipped_because_they_see_the_floor_are_those_that_the_floor_refuses_after_the_median(seed):
+    """The same scene, cleaned without a floor and then cut at its limit, is the oracle of the shortcut."""
+    rng, shape, mounting = np.random.default_rng(seed), (24, 41), Mounting(z_m=0.5)
+    limit = floor_limit(np.ones(shape), np.zeros(shape, np.uint8), WIDE, mounting, CleanSettings(floor="mounting"))
+    sigma = rng.uniform(0.005, 0.05, shape)
+    range_m = np.minimum(limit, 4.0) * rng.uniform(0.9, 1.1) + sigma * rng.standard_normal(shape)
+    source = image(range_m, sigma, why=np.where(rng.random(shape) < 0.2, Why.NO_SIGNAL, 0))
+    result = cleaned(source, WIDE, mounting, floor="mounting")
+    whole = cleaned(source, WIDE, mounting)
+    sees_floor = whole.valid & (whole.range_m + 2 * whole.sigma_m > limit)
+    assert_array_equal(result.why, np.where(sees_floor, Why.FLOOR, whole.why))
+    for name in ("range_m", "sigma_m"):
+        assert_array_equal(getattr(result, name)[result.valid], getattr(whole, name)[result.valid])
 
 
 def test_median_does_not_fill_what_is_invalid():
@@ -256,8 +278,7 @@ def test_sigma_of_the_median_of_n_values_is_exact(number):
     around[1], around[2] = 100.0, 0.0
     order = [4, 0, 1, 2, 3, 5, 6, 7, 8][:number]
     around[0].ravel()[order], around[2].ravel()[order] = 0.0, 1 / 0.03
-    _, sigma = smooth(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), around, CleanSettings())
-    assert sigma[0, 0] / 0.03 == pytest.approx(np.median(draws, axis=1).std(), rel=0.011)
+    assert middle(around)[1] / 0.03 == pytest.approx(np.median(draws, axis=1).std(), rel=0.011)
 
 
 def test_sigma_of_a_median_of_unlike_values_is_true_within_a_tenth():
@@ -266,10 +287,7 @@ def test_sigma_of_a_median_of_unlike_values_is_true_within_a_tenth():
         sigmas = np.exp(rng.uniform(-np.log(spread), np.log(spread), (200, 9)) / 2) * 0.05
         found = []
         for nine in sigmas:
-            around = np.stack([np.zeros((3, 3)), np.full((3, 3), 9.0), 1 / nine.reshape(3, 3)]).astype(np.float32)
-            found.append(
-                smooth(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), around, CleanSettings())[1][0, 0]
-            )
+            found.append(middle([np.zeros((3, 3)), np.full((3, 3), 9.0), 1 / nine.reshape(3, 3)])[1])
         true = np.median(rng.standard_normal((4000, 200, 9)) * sigmas, axis=2).std(axis=0)
         assert np.median(np.array(found) / true) == pytest.approx(1, abs=0.03)
         assert np.all(np.abs(np.array(found) / true - 1) < 0.12)

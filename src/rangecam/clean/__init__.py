@@ -5,6 +5,7 @@ Every stage only refuses pixels, with a reason, or lowers their noise: a pixel t
 
 import dataclasses
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from rangecam.clean.filters import cut, judge, smooth
 from rangecam.clean.limits import area_of_interest, floor_limit, neighbours_needed, weakest_amplitudes
 from rangecam.clean.settings import CleanSettings
 from rangecam.geometry import Lens, Mounting
-from rangecam.types import RangeImage
+from rangecam.types import Floats, Ints, RangeImage
 
 __all__ = ["STAGES", "CleanSettings", "clean", "clean_stages"]
 
@@ -35,18 +36,29 @@ def clean(image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSett
     Amplitude thresholds and the test for common neighbours both judge the image as it came (Steinbäck 2016, alg 4.2);
     the median takes what they left; floor and area of interest are cut from its result.
     """
-    why_in = np.ascontiguousarray(image.why)
-    range_m, sigma_m, amplitude = (
-        np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m, image.amplitude)
-    )
-    least, needed = weakest_amplitudes(lens, image.shape, settings), neighbours_needed(image.shape, settings)
-    why, around = judge((range_m, sigma_m, amplitude), why_in, least, needed, settings)
+    why = np.ascontiguousarray(image.why)
+    range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
+    amplitude = np.ascontiguousarray(image.amplitude, np.float32)
+    least, needed, floor, near, far = _known_limits(lens, mounting, why.shape, settings)
+    why, around = judge((range_m, sigma_m, amplitude), why, least, needed, settings)
     if settings.median != "off":
-        range_m, sigma_m = smooth(range_m, sigma_m, around, settings)
-    floor = floor_limit(range_m, why, lens, mounting, settings)
-    near, far = area_of_interest(lens, mounting, image.shape, settings)
+        range_m, sigma_m = smooth(range_m, sigma_m, why, around, floor, settings)
+    if settings.floor == "fit":
+        floor = floor_limit(range_m, why, lens, mounting, settings)
     why = cut(range_m, sigma_m, why, (floor, near, far), settings)
     return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
+
+
+@lru_cache(maxsize=16)
+def _known_limits(
+    lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: CleanSettings
+) -> tuple[tuple[Floats, Floats], Ints, Floats, Floats, Floats]:
+    """Return the limits known before the image: amplitudes, neighbours, floor (infinite if it is fitted), area."""
+    floor = np.full(shape, np.inf, np.float32)
+    if settings.floor != "fit":
+        floor = floor_limit(floor, np.zeros(shape, np.uint8), lens, mounting, settings)
+    near, far = area_of_interest(lens, mounting, shape, settings)
+    return weakest_amplitudes(lens, shape, settings), neighbours_needed(shape, settings), floor, near, far
 
 
 def clean_stages(

@@ -4,6 +4,7 @@ The kernels have no branches within a row and write every step out, so that they
 """
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -49,16 +50,22 @@ def judge(
     reason = why.astype(np.uint8)
     came = np.empty((height + 2, width + 2), np.float32)
     around = np.empty((3, height + 2, width + 2), np.float32)
-    tolerance = np.array([settings.neighbour_tolerance_m / 2, settings.neighbour_tolerance_sigmas / math.sqrt(2)])
-    _spread(planes[0], planes[1], why, tolerance.astype(np.float32), (came, around))
+    _spread(planes[0], planes[1], why, _tolerance(settings), came, around)
     _refuse(planes, amplitudes, needed, came, around, reason)
     return reason, around
 
 
+@lru_cache(maxsize=16)
+def _tolerance(settings: CleanSettings) -> Floats:
+    """Return the reach of a pixel: a constant and a factor of its sigma."""
+    return np.array(
+        [settings.neighbour_tolerance_m / 2, settings.neighbour_tolerance_sigmas / math.sqrt(2)], np.float32
+    )
+
+
 @njit(cache=True, nogil=True)
-def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, out: tuple[Floats, Floats]) -> None:
+def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, came: Floats, around: Floats) -> None:
     """Give the image a rim of NaN; invalid pixels are NaN too, so that no comparison with them is true."""
-    came, around = out
     height, width = range_m.shape
     came[:, 0] = _NAN
     came[:, width + 1] = _NAN
@@ -89,10 +96,10 @@ def _refuse(
     width = reason.shape[1]
     common = np.empty(width, np.float32)
     for y in range(reason.shape[0]):
-        begin, end = _span(came[y + 1])
-        r0, r1, r2 = came[y, begin:end], came[y + 1, begin:end], came[y + 2, begin:end]
-        t0, t1, t2 = around[1, y, begin:end], around[1, y + 1, begin:end], around[1, y + 2, begin:end]
-        for x in range(end - begin - 2):
+        begin, end = _span(reason[y])
+        r0, r1, r2 = came[y, begin : end + 2], came[y + 1, begin : end + 2], came[y + 2, begin : end + 2]
+        t0, t1, t2 = around[1, y, begin : end + 2], around[1, y + 1, begin : end + 2], around[1, y + 2, begin : end + 2]
+        for x in range(end - begin):
             value, reach = r1[x + 1], t1[x + 1]
             number = _common(r0[x], value, reach + t0[x]) + _common(r0[x + 1], value, reach + t0[x + 1])
             number += _common(r0[x + 2], value, reach + t0[x + 2]) + _common(r1[x], value, reach + t1[x])
@@ -101,30 +108,39 @@ def _refuse(
             common[x] = number
         light, least, least_wrapped = amplitude[y, begin:], weakest[y, begin:], wrapped[y, begin:]
         why, need, distance = reason[y, begin:], needed[y, begin:], range_m[y, begin:]
-        for x in range(end - begin - 2):
+        for x in range(end - begin):
             first = _ISOLATED if common[x] < need[x] else 0
             first = _BORDER if need[x] == REFUSE else first
             first = _WRAPPED if light[x] * distance[x] * distance[x] < least_wrapped[x] else first
             first = _LOW_AMPLITUDE if light[x] < least[x] else first
             why[x] = why[x] if why[x] != 0 else first
-        for rest in (slice(0, begin + 1), slice(end - 1, width + 2)):
+        for rest in (slice(0, begin + 1), slice(end + 1, width + 2)):
             around[0, y + 1, rest] = _NAN
             around[2, y + 1, rest] = _ZERO
         kept, weight, sigma = around[0, y + 1, begin + 1 :], around[2, y + 1, begin + 1 :], sigma_m[y, begin:]
-        for x in range(end - begin - 2):
+        for x in range(end - begin):
             kept[x] = r1[x + 1] if why[x] == 0 else _NAN
             weight[x] = _ONE / sigma[x] if why[x] == 0 else _ZERO
 
 
 @njit(cache=True, nogil=True)
-def _span(row: Floats) -> tuple[int, int]:
-    """Return where a row with a rim begins and ends to matter: values that are not NaN, and one on either side."""
-    begin, end = 0, len(row)
-    while begin + 2 < end and row[begin + 1] != row[begin + 1]:
+def _span(why: Ints) -> tuple[int, int]:
+    """Return where a row begins and ends to hold zeros, in whole vectors: part of one would take as long."""
+    columns = len(why)
+    begin, end = 0, columns
+    while begin < columns and why[begin] != 0:
         begin += 1
-    while end - 2 > begin and row[end - 2] != row[end - 2]:
+    while end > begin and why[end - 1] != 0:
         end -= 1
-    return begin, end
+    return begin // _VECTOR * _VECTOR, min(-(-end // _VECTOR) * _VECTOR, columns)
+
+
+_VECTOR = 8  # pixels in a vector register, or a multiple
+
+
+@njit(cache=True, nogil=True)
+def _less(value: float, least: float) -> float:
+    return value if value < least else least
 
 
 @njit(cache=True, nogil=True)
@@ -132,37 +148,53 @@ def _common(other: float, value: float, reach: float) -> Any:
     return _ONE if abs(other - value) <= reach else _ZERO
 
 
-def smooth(range_m: Floats, sigma_m: Floats, around: Floats, settings: CleanSettings) -> tuple[Floats, Floats]:
+def smooth(
+    range_m: Floats, sigma_m: Floats, why: Ints, around: Floats, floor: Floats, settings: CleanSettings
+) -> tuple[Floats, Floats]:
     """Return the median of each pixel's neighbourhood and its standard deviation: (H, W) float32 m each.
 
     Only valid pixels give and get a median; only common neighbours of the pixel give one, unless `median_across_edges`.
     Of an even number it is the midpoint. Its variance is that of the median of n normal values with the harmonic mean
     of their sigmas: the density at the median of unlike values is the mean of theirs, each 1/(sqrt(2 pi) sigma).
+    why and around: from `judge`. Pixels whose neighbours all lie beyond `floor` (H, W) m keep their range, because `cut`
+    refuses them with any median.
     """
     median, sigma = range_m.copy(), sigma_m.copy()
-    window = np.zeros(9, np.float32)  # added to the reach: minus huge where a neighbour never takes part
+    _smooth(why, around, _window(settings), floor, median, sigma)
+    return median, sigma
+
+
+@lru_cache(maxsize=16)
+def _window(settings: CleanSettings) -> Floats:
+    """Return what is added to the reach of nine neighbours: minus infinity where one never takes part."""
+    window = np.zeros(9, np.float32)
     if settings.median == "3x1":
         window[[0, 1, 2, 6, 7, 8]] = -np.inf
     if settings.median_across_edges:
         window += _HUGE
-    _smooth(around, window, median, sigma)
-    return median, sigma
+    return window
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _smooth(around: Floats, window: Floats, median: Floats, sigma: Floats) -> None:
+def _smooth(why: Ints, around: Floats, window: Floats, floor: Floats, median: Floats, sigma: Floats) -> None:
     """Sort each neighbourhood by the network of 25 exchanges (Steinbäck 2016, A.8; the compiler drops the needless).
 
     Values that take no part are replaced by turns with +huge and -huge, so that the median of the others stays in the
     middle: place 4, or between 3 and 4 where their number is even, which is where the next turn would be -huge.
     """
+    unwanted = np.empty(median.shape[1], np.uint8)
     for y in range(median.shape[0]):
-        begin, end = _span(around[0, y + 1])
-        r0, r1, r2 = around[0, y, begin:end], around[0, y + 1, begin:end], around[0, y + 2, begin:end]
-        t0, t1, t2 = around[1, y, begin:end], around[1, y + 1, begin:end], around[1, y + 2, begin:end]
-        w0, w1, w2 = around[2, y, begin:end], around[2, y + 1, begin:end], around[2, y + 2, begin:end]
+        begin, end = _span(why[y])
+        if begin < end:
+            _unwanted(around, floor, y, unwanted)
+            begin, end = _span(unwanted)
+        if begin == end:
+            continue
+        r0, r1, r2 = around[0, y, begin : end + 2], around[0, y + 1, begin : end + 2], around[0, y + 2, begin : end + 2]
+        t0, t1, t2 = around[1, y, begin : end + 2], around[1, y + 1, begin : end + 2], around[1, y + 2, begin : end + 2]
+        w0, w1, w2 = around[2, y, begin : end + 2], around[2, y + 1, begin : end + 2], around[2, y + 2, begin : end + 2]
         middle, spread = median[y, begin:], sigma[y, begin:]
-        for x in range(end - begin - 2):
+        for x in range(end - begin):
             value, reach, side = r1[x + 1], t1[x + 1], _HUGE
             v0, side, n0 = _take(r0[x], value, reach + t0[x] + window[0], side)
             v1, side, n1 = _take(r0[x + 1], value, reach + t0[x + 1] + window[1], side)
@@ -205,6 +237,18 @@ def _smooth(around: Floats, window: Floats, median: Floats, sigma: Floats) -> No
             between = _HALF * (v3 + v4) if side < _ZERO else v4
             middle[x] = between if w1[x + 1] > _ZERO else middle[x]
             spread[x] = _median_sigma(n) * n / weight if w1[x + 1] > _ZERO else spread[x]
+
+
+@njit(cache=True, nogil=True)
+def _unwanted(around: Floats, floor: Floats, y: int, unwanted: Ints) -> None:
+    """Mark the pixels of a row that were refused or see the floor for sure: no median is below the least value."""
+    r0, r1, r2, limit = around[0, y], around[0, y + 1], around[0, y + 2], floor[y]
+    for x in range(len(limit)):
+        least = _less(r0[x], _less(r0[x + 1], _less(r0[x + 2], _HUGE)))
+        least = _less(r1[x], _less(r1[x + 1], _less(r1[x + 2], least)))
+        least = _less(r2[x], _less(r2[x + 1], _less(r2[x + 2], least)))
+        value = r1[x + 1]
+        unwanted[x] = 0 if (value == value) & (least <= limit[x]) else 1
 
 
 @njit(cache=True, nogil=True)

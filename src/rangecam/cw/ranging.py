@@ -16,6 +16,7 @@ PLANES = ("phase_0", "phase_90", "phase_180", "phase_270")
 
 _VALID, _NO_SIGNAL, _NOT_FINITE = np.uint8(Why.VALID), np.uint8(Why.NO_SIGNAL), np.uint8(Why.NOT_FINITE)
 _LOW_AMPLITUDE, _SATURATED = np.uint8(Why.LOW_AMPLITUDE), np.uint8(Why.SATURATED)
+_SENSOR_FLAG = np.uint8(Why.SENSOR_FLAG)
 _LARGEST = np.float32(1e30)
 _PI, _TWO_PI = np.float32(math.pi), np.float32(2 * math.pi)
 _TURNS_PER_RAD = np.float32(0.5 / math.pi)
@@ -36,14 +37,12 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     SATURATED, LOW_AMPLITUDE or, in `pseudo_rows`, SENSOR_FLAG.
     Raises DataError for a missing or misshapen plane.
     """
-    c0, c90, c180, c270 = (_samples(raw, name) for name in PLANES)
-    range_m, sigma_m, amplitude = (np.empty(c0.shape, np.float32) for _ in range(3))
-    why = np.empty(c0.shape, np.uint8)
-    c0, c90, c180, c270 = (c.ravel() for c in (c0, c90, c180, c270))
-    _four_phase(
-        c0, c90, c180, c270, _kernel_settings(camera), range_m.ravel(), sigma_m.ravel(), amplitude.ravel(), why.ravel()
-    )
-    why[: camera.pseudo_rows] = Why.SENSOR_FLAG
+    c0, c90, c180, c270 = [_samples(raw, name) for name in PLANES]
+    shape, why = c0.shape, np.empty(c0.shape, np.uint8)
+    range_m, sigma_m, amplitude = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    _four_phase(c0, c90, c180, c270, _kernel_settings(camera), range_m, sigma_m, amplitude, why)
+    if camera.pseudo_rows:
+        why[: camera.pseudo_rows] = _SENSOR_FLAG
     return RangeImage(raw.time_s, range_m, sigma_m, amplitude, why)
 
 
@@ -79,7 +78,7 @@ def _samples(raw: RawFrame, name: str) -> Image:
             f"frame {raw.frame_id}: plane '{name}' is missing; cw_four_phase needs {', '.join(PLANES)}, "
             f"the frame has {', '.join(sorted(raw.planes)) or 'none'}"
         )
-    plane, shape = np.asarray(raw.planes[name]), np.shape(raw.planes[PLANES[0]])
+    plane, shape = np.asarray(raw.planes[name]), np.asarray(raw.planes[PLANES[0]]).shape
     if plane.ndim != 2 or plane.shape != shape:
         raise DataError(
             f"frame {raw.frame_id}: plane '{name}' has shape {plane.shape}; it must be an image (rows, columns) "
@@ -87,14 +86,19 @@ def _samples(raw: RawFrame, name: str) -> Image:
         )
     if plane.dtype.kind not in "uif":
         raise DataError(f"frame {raw.frame_id}: plane '{name}' holds {plane.dtype}; it must hold real numbers")
-    return np.ascontiguousarray(plane, np.uint16 if plane.dtype == np.uint16 else np.float32)
+    return np.ascontiguousarray(plane, _UINT16 if plane.dtype == _UINT16 else _FLOAT32)
+
+
+_UINT16, _FLOAT32 = np.dtype(np.uint16), np.dtype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _four_phase(  # type: ignore[no-untyped-def]
     c0, c90, c180, c270, settings, range_m, sigma_m, amplitude, why
 ):
-    """Fill the four flat output images; everything is a select, so that the loop becomes vector instructions."""
+    """Fill the four output images; everything is a select, so that the loop becomes vector instructions."""
+    c0, c90, c180, c270 = c0.reshape(-1), c90.reshape(-1), c180.reshape(-1), c270.reshape(-1)
+    range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
     sign, offset, metres_per_rad = settings[0], settings[1], settings[2]
     floor_variance, shot_per_level, shot_per_amplitude = settings[3], settings[4], settings[5]
     black, low, high, min_amplitude, max_variance = settings[6], settings[7], settings[8], settings[9], settings[10]
@@ -112,18 +116,18 @@ def _four_phase(  # type: ignore[no-untyped-def]
         level = level if level > zero else zero
         variance = floor_variance + shot_per_level * level + shot_per_amplitude * half * magnitude
         # d phase = (Re dIm - Im dRe) / (Re^2 + Im^2), and Re and Im each are the difference of two samples
-        phase_variance = two * variance / (square if square > tiny else tiny)
+        doubled, bounded = two * variance, (square if square > tiny else tiny)
         largest, smallest = (
             _larger(_larger(s0, s90), _larger(s180, s270)),
             _smaller(_smaller(s0, s90), _smaller(s180, s270)),
         )
         finite = abs(s0) + abs(s90) + abs(s180) + abs(s270) < _LARGEST
-        reason = _LOW_AMPLITUDE if phase_variance > max_variance or half * magnitude < min_amplitude else _VALID
+        reason = _LOW_AMPLITUDE if doubled > max_variance * bounded or half * magnitude < min_amplitude else _VALID
         reason = _SATURATED if largest >= high or smallest <= low else reason
         reason = _NO_SIGNAL if largest == smallest and largest < high else reason
         usable = finite and square > zero
         range_m[i] = metres_per_rad * phase if usable else nan  # eq 3.11
-        sigma_m[i] = metres_per_rad * np.sqrt(phase_variance) if usable else nan
+        sigma_m[i] = metres_per_rad * np.sqrt(doubled / bounded) if usable else nan
         amplitude[i] = half * magnitude if finite else nan
         why[i] = reason if finite else _NOT_FINITE
 
@@ -134,7 +138,8 @@ def _atan2(y, x):  # type: ignore[no-untyped-def]
     ax, ay = abs(x), abs(y)
     t = _smaller(ax, ay) / _larger(_larger(ax, ay), np.float32(1e-30))
     u = t * t
-    angle = t * (_A1 + u * (_A3 + u * (_A5 + u * (_A7 + u * (_A9 + u * (_A11 + u * _A13))))))
+    v = u * u
+    angle = t * ((_A1 + u * _A3) + v * ((_A5 + u * _A7) + v * ((_A9 + u * _A11) + v * _A13)))
     angle = np.float32(math.pi / 2) - angle if ay > ax else angle
     angle = _PI - angle if x < 0 else angle
     return -angle if y < 0 else angle

@@ -51,7 +51,7 @@ def _mdsi(raw: RawFrame, camera: PulsedCamera, windows: str, falling: bool) -> R
     above 255), SATURATED, LOW_AMPLITUDE or OUT_OF_RANGE. Raises DataError for a missing or misshapen plane.
     """
     names = (f"shutter_{windows[0]}", f"shutter_{windows[1]}", "n_acc")
-    part, other, n_acc = (_plane(raw, name, names) for name in names)
+    part, other, n_acc = [_plane(raw, name, names) for name in names]
     ambient = _plane(raw, "ambient", names) if "ambient" in raw.planes else np.zeros(part.shape, np.float32)
     tables, settings = _shutter_settings(camera, windows)
     images = _empty_images(part.shape)
@@ -276,7 +276,7 @@ def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
             f"frame {raw.frame_id}: plane '{name}' is missing; this method needs {', '.join(needed)}, "
             f"the frame has {', '.join(sorted(raw.planes)) or 'none'}"
         )
-    plane, shape = np.asarray(raw.planes[name]), np.shape(raw.planes[needed[0]])
+    plane, shape = np.asarray(raw.planes[name]), np.asarray(raw.planes[needed[0]]).shape
     if plane.ndim != 2 or plane.shape != shape:
         raise DataError(
             f"frame {raw.frame_id}: plane '{name}' has shape {plane.shape}; it must be an image (rows, columns) "
@@ -295,8 +295,8 @@ def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[
 
 
 def _empty_images(shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats, NDArray[np.uint8]]:
-    range_m, sigma_m, amplitude = np.empty((3, *shape), np.float32)
-    return range_m, sigma_m, amplitude, np.empty(shape, np.uint8)
+    single = np.float32
+    return np.empty(shape, single), np.empty(shape, single), np.empty(shape, single), np.empty(shape, np.uint8)
 
 
 RANGING: dict[str, Callable[[RawFrame, PulsedCamera], RangeImage]] = {
