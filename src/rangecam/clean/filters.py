@@ -156,8 +156,8 @@ def smooth(
     Only valid pixels give and get a median; only common neighbours of the pixel give one, unless `median_across_edges`.
     Of an even number it is the midpoint. Its variance is that of the median of n normal values with the harmonic mean
     of their sigmas: the density at the median of unlike values is the mean of theirs, each 1/(sqrt(2 pi) sigma).
-    why and around: from `judge`. Pixels whose neighbours all lie beyond `floor` (H, W) m keep their range, because `cut`
-    refuses them with any median.
+    why and around: from `judge`. Pixels whose neighbours all lie beyond `floor` (H, W) m keep their range, because
+    `cut` refuses them with any median.
     """
     median, sigma = range_m.copy(), sigma_m.copy()
     _smooth(why, around, _window(settings), floor, median, sigma)
