@@ -1,4 +1,4 @@
-"""The command line: `rangecam demo | run | simulate | bench | repair`.
+"""The command line: `rangecam demo | run | simulate | study | bench | repair`.
 
 Thin: each command opens a source, lets `pipeline.run` work and prints. Nothing heavy is imported before it is needed,
 so that `rangecam --help` answers at once. An error is one line on standard error; exit code 1 for data, 2 for the call.
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 import rangecam
-from rangecam.errors import RangecamError
+from rangecam.errors import RangecamError, UsageError
 
 if TYPE_CHECKING:
     from rangecam.io import Source
@@ -145,6 +145,37 @@ def repair(
 
 
 @app.command
+def study(
+    name: str | None = None,
+    /,
+    *,
+    folder: Annotated[Path, Parameter(help="Where the figures go, NAME.png.")] = Path(),
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Repeat the experiments of the theses: NAME or all; without a name, list them. Draws a figure of each."""
+    from rangecam import studies
+    from rangecam.io.files import check_target, replacing
+
+    if name is None and not json:
+        print(studies.study_list())
+        return
+    if name is None:
+        raise UsageError(f"study --json needs a name: {', '.join([*studies.STUDIES, 'all'])}")
+    names = studies.study_names(name)
+    if json:
+        results = [studies.run_study(one, seed) for one in _progress(names, len(names), "studies")]
+        print(json_format.dumps(studies.as_json(results)))
+        return
+    for one in _progress(names, len(names), "studies"):
+        path = check_target(folder / f"{one}.png")
+        result = studies.run_study(one, seed)
+        with replacing(path) as part:
+            part.write_bytes(studies.draw(result))
+        print(f"{studies.table(result)}\nfigure     {path}\n")
+
+
+@app.command
 def bench(*, seconds: Annotated[float, Parameter(help="Time spent on each row.")] = 2.0, json: Json = False) -> None:
     """Measure milliseconds a stage and a chain, beside peers in the same process (extra: rangecam[bench])."""
     from rangecam.bench import measure, table
@@ -230,7 +261,7 @@ def _warmed_up(opened: "Source", pipeline: Any) -> Iterator[Any]:
         yield capture
 
 
-def _progress(items: Any, total: int | None) -> Iterator[Any]:
+def _progress(items: Any, total: int | None, what: str = "frames") -> Iterator[Any]:
     """Show progress on standard error while `items` pass, if someone is looking."""
     if not sys.stderr.isatty():
         yield from items
@@ -238,7 +269,7 @@ def _progress(items: Any, total: int | None) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import track
 
-    yield from track(items, "frames", total=total, console=Console(stderr=True), transient=True)
+    yield from track(items, what, total=total, console=Console(stderr=True), transient=True)
 
 
 if __name__ == "__main__":

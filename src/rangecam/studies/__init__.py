@@ -1,0 +1,64 @@
+"""The experiments of the theses: what they claim beside what this program computes, and a figure each.
+
+A study is a function of a random generator; it returns its claims and the series of its figure.
+- study: claims, studies, JSON, table
+- figure: how a study is drawn
+- thesis_camera: the pulsed camera as the numbers of the thesis assume it
+- pulsed_optics, pulsed_noise, pulsed_methods, pulsed_distance, eye_safety: one experiment each
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rangecam.errors import UsageError, did_you_mean
+from rangecam.studies.eye_safety import eye_safety
+from rangecam.studies.figure import draw
+from rangecam.studies.pulsed_distance import pulsed_distance
+from rangecam.studies.pulsed_methods import pulsed_methods
+from rangecam.studies.pulsed_noise import pulsed_noise
+from rangecam.studies.pulsed_optics import pulsed_optics
+from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table
+
+STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
+    "pulsed-optics": pulsed_optics,
+    "pulsed-noise": pulsed_noise,
+    "pulsed-methods": pulsed_methods,
+    "pulsed-distance": pulsed_distance,
+    "eye-safety": eye_safety,
+}
+"""Studies by name."""
+
+
+def study_names(name: str) -> list[str]:
+    """Return the studies that a name means, all of them for "all"; raises UsageError for an unknown one."""
+    known = [*STUDIES, "all"]
+    if name not in known:
+        raise UsageError(f"unknown study '{name}'{did_you_mean(name, known)} (known: {', '.join(known)})")
+    return list(STUDIES) if name == "all" else [name]
+
+
+def run_study(name: str, seed: int = 0) -> Study:
+    """Return the study of that name (one of `study_names`), its simulated noise from a seed."""
+    return STUDIES[name](np.random.default_rng(seed))
+
+
+def study_list() -> str:
+    """Return a line for each study: its name and what it is about."""
+    lines = ((name, (function.__doc__ or "").splitlines()[0]) for name, function in STUDIES.items())
+    return "\n".join(f"{name:16} {line}" for name, line in lines)
+
+
+__all__ = [
+    "STUDIES",
+    "Claim",
+    "Panel",
+    "Series",
+    "Study",
+    "as_json",
+    "draw",
+    "run_study",
+    "study_list",
+    "study_names",
+    "table",
+]
