@@ -97,6 +97,11 @@ def _refuse(
     common = np.empty(width, np.float32)
     for y in range(reason.shape[0]):
         begin, end = _span(reason[y])
+        if begin == end:
+            for x in range(width + 2):
+                around[0, y + 1, x] = _NAN
+                around[2, y + 1, x] = _ZERO
+            continue
         r0, r1, r2 = came[y, begin : end + 2], came[y + 1, begin : end + 2], came[y + 2, begin : end + 2]
         t0, t1, t2 = around[1, y, begin : end + 2], around[1, y + 1, begin : end + 2], around[1, y + 2, begin : end + 2]
         for x in range(end - begin):
@@ -126,13 +131,24 @@ def _refuse(
 @njit(cache=True, nogil=True)
 def _span(why: Ints) -> tuple[int, int]:
     """Return where a row begins and ends to hold zeros, in whole vectors: part of one would take as long."""
+    if _none(why):
+        return 0, 0
     columns = len(why)
     begin, end = 0, columns
-    while begin < columns and why[begin] != 0:
+    while why[begin] != 0:
         begin += 1
-    while end > begin and why[end - 1] != 0:
+    while why[end - 1] != 0:
         end -= 1
     return begin // _VECTOR * _VECTOR, min(-(-end // _VECTOR) * _VECTOR, columns)
+
+
+@njit(cache=True, nogil=True)
+def _none(why: Ints) -> bool:
+    """Return whether a row holds no zero; many do not, and this loop becomes vector instructions."""
+    least = np.uint8(255)
+    for x in range(len(why)):
+        least = min(least, why[x])
+    return bool(least > 0)
 
 
 _VECTOR = 8  # pixels in a vector register, or a multiple
@@ -166,13 +182,9 @@ def smooth(
 
 @lru_cache(maxsize=16)
 def _window(settings: CleanSettings) -> Floats:
-    """Return what is added to the reach of nine neighbours: minus infinity where one never takes part."""
-    window = np.zeros(9, np.float32)
-    if settings.median == "3x1":
-        window[[0, 1, 2, 6, 7, 8]] = -np.inf
-    if settings.median_across_edges:
-        window += _HUGE
-    return window
+    """Return what is added to the reach of neighbours in the same row and in others, minus infinity to leave out."""
+    all_of_them = _HUGE if settings.median_across_edges else _ZERO
+    return np.array([all_of_them, -np.inf if settings.median == "3x1" else all_of_them], np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -183,6 +195,7 @@ def _smooth(why: Ints, around: Floats, window: Floats, floor: Floats, median: Fl
     middle: place 4, or between 3 and 4 where their number is even, which is where the next turn would be -huge.
     """
     unwanted = np.empty(median.shape[1], np.uint8)
+    in_row, off_row = window[0], window[1]
     for y in range(median.shape[0]):
         begin, end = _span(why[y])
         if begin < end:
@@ -195,16 +208,17 @@ def _smooth(why: Ints, around: Floats, window: Floats, floor: Floats, median: Fl
         w0, w1, w2 = around[2, y, begin : end + 2], around[2, y + 1, begin : end + 2], around[2, y + 2, begin : end + 2]
         middle, spread = median[y, begin:], sigma[y, begin:]
         for x in range(end - begin):
-            value, reach, side = r1[x + 1], t1[x + 1], _HUGE
-            v0, side, n0 = _take(r0[x], value, reach + t0[x] + window[0], side)
-            v1, side, n1 = _take(r0[x + 1], value, reach + t0[x + 1] + window[1], side)
-            v2, side, n2 = _take(r0[x + 2], value, reach + t0[x + 2] + window[2], side)
-            v3, side, n3 = _take(r1[x], value, reach + t1[x] + window[3], side)
-            v4, side, n4 = _take(r1[x + 1], value, reach + t1[x + 1] + window[4], side)
-            v5, side, n5 = _take(r1[x + 2], value, reach + t1[x + 2] + window[5], side)
-            v6, side, n6 = _take(r2[x], value, reach + t2[x] + window[6], side)
-            v7, side, n7 = _take(r2[x + 1], value, reach + t2[x + 1] + window[7], side)
-            v8, side, n8 = _take(r2[x + 2], value, reach + t2[x + 2] + window[8], side)
+            value, side = r1[x + 1], _HUGE
+            reach, beside = t1[x + 1] + in_row, t1[x + 1] + off_row
+            v0, side, n0 = _take(r0[x], value, beside + t0[x], side)
+            v1, side, n1 = _take(r0[x + 1], value, beside + t0[x + 1], side)
+            v2, side, n2 = _take(r0[x + 2], value, beside + t0[x + 2], side)
+            v3, side, n3 = _take(r1[x], value, reach + t1[x], side)
+            v5, side, n5 = _take(r1[x + 2], value, reach + t1[x + 2], side)
+            v6, side, n6 = _take(r2[x], value, beside + t2[x], side)
+            v7, side, n7 = _take(r2[x + 1], value, beside + t2[x + 1], side)
+            v8, side, n8 = _take(r2[x + 2], value, beside + t2[x + 2], side)
+            v4 = value
             v0, v1 = _order(v0, v1)
             v3, v4 = _order(v3, v4)
             v6, v7 = _order(v6, v7)
@@ -231,9 +245,9 @@ def _smooth(why: Ints, around: Floats, window: Floats, floor: Floats, median: Fl
             v2, v3 = _order(v2, v3)
             v5, v6 = _order(v5, v6)
             weight = n0 * w0[x] + n1 * w0[x + 1] + n2 * w0[x + 2]
-            weight += n3 * w1[x] + n4 * w1[x + 1] + n5 * w1[x + 2]
+            weight += n3 * w1[x] + w1[x + 1] + n5 * w1[x + 2]
             weight += n6 * w2[x] + n7 * w2[x + 1] + n8 * w2[x + 2]
-            n = n0 + n1 + n2 + n3 + n4 + n5 + n6 + n7 + n8
+            n = _ONE + n0 + n1 + n2 + n3 + n5 + n6 + n7 + n8
             between = _HALF * (v3 + v4) if side < _ZERO else v4
             middle[x] = between if w1[x + 1] > _ZERO else middle[x]
             spread[x] = _median_sigma(n) * n / weight if w1[x + 1] > _ZERO else spread[x]
