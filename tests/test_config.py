@@ -101,3 +101,14 @@ def test_equal_settings_hash_alike_in_every_process() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(config), capture_output=True, check=True)
     assert done.stdout.strip() == b"True"
+
+
+@pytest.mark.parametrize(("preset", "pitch_deg"), [("scaled_car", 0.5), ("usercams", 0.72), ("vl53l5cx", 45 / 8)])
+def test_the_brake_rule_counts_pixels_of_the_camera_that_looks(preset: str, pitch_deg: float) -> None:
+    assert load_config(preset).decision.pixel_pitch_deg == pytest.approx(pitch_deg, rel=0.02)
+    columns = load_config(preset).camera.columns
+    finer = load_config(preset, {"camera": {"columns": 4 * columns}})
+    lens = finer.camera.lens
+    factor = 2 if lens.vertical_fov_deg is not None else 4  # square pixels shrink both ways
+    assert finer.decision.pixel_pitch_deg == pytest.approx(load_config(preset).decision.pixel_pitch_deg / factor)
+    assert load_config(preset, {"decision": {"pixel_pitch_deg": 3.0}}).decision.pixel_pitch_deg == 3.0

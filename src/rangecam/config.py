@@ -5,8 +5,10 @@ Every module declares its own piece with `@settings`; `Config` puts the pieces t
 """
 
 import dataclasses
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -19,7 +21,7 @@ from rangecam.classify import ClassificationSettings
 from rangecam.clean import CleanSettings
 from rangecam.cw import CwCamera
 from rangecam.errors import UsageError, did_you_mean
-from rangecam.geometry import Lens, Mounting
+from rangecam.geometry import Lens, Mounting, pixel_pitch
 from rangecam.processed import ProcessedCamera
 from rangecam.pulsed import PulsedCamera
 from rangecam.segmentation import SEGMENTATION, SegmentSettings
@@ -70,12 +72,22 @@ class Config:
 def load_config(preset: str | None = None, *layers: Tree) -> Config:
     """Return the configuration of a preset (default: scaled_car) with `layers` of settings over it, the last winning.
 
+    `decision.pixel_pitch_deg` is that of the camera unless a layer sets it.
     Raises UsageError for an unknown preset, an unknown setting or an impossible value, naming it and what is allowed.
     """
-    config = parse(Config, merge(preset_tree(preset or "scaled_car"), *layers), "configuration")
+    values = merge(preset_tree(preset or "scaled_car"), *layers)
+    config = parse(Config, values, "configuration")
+    if "pixel_pitch_deg" not in values.get("decision", {}):
+        config = replace(config, decision=replace(config.decision, pixel_pitch_deg=_pitch_deg(config.camera)))
     _check_choice("ranging", config.ranging, sorted(FAMILIES[config.camera.kind].RANGING))
     _check_choice("segmentation", config.segmentation, sorted(SEGMENTATION))
     return config
+
+
+def _pitch_deg(camera: CwCamera | PulsedCamera | ProcessedCamera) -> float:
+    """Return the angle between neighbouring pixels in the image centre, the geometric mean of both directions."""
+    across, down = pixel_pitch(camera.lens, (camera.rows, camera.columns))
+    return math.degrees(math.sqrt(across * down))
 
 
 def preset_names() -> list[str]:

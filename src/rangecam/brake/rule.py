@@ -34,7 +34,8 @@ class DecisionSettings:
     min_object_px: NonNegative = 10.0
     """... and always with more than this."""
     pixel_pitch_deg: Positive = 0.5
-    """Angle between neighbouring pixels (geometric mean of both directions)."""
+    """Angle between neighbouring pixels (geometric mean of both directions); a loaded configuration takes it from the
+    camera's lens and size."""
     min_probability: Fraction = 0.5
     """An object beside the corridor counts if it will collide with at least this probability."""
     speed_sigmas: NonNegative = 2.0
