@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rangecam.errors import UsageError
 from rangecam.pulsed.pixel import damping, noise_variance, step_v
-from rangecam.pulsed.ranging import _limits, _plane
+from rangecam.pulsed.ranging import image_plane, range_limits
 from rangecam.pulsed.settings import PulsedCamera
 from rangecam.pulsed.signal import correlation_curve, gradient_windows, laser_delays, shutter_windows
 from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
@@ -38,7 +38,7 @@ def gradient1(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     (opens, closes), second = gradient_windows(camera, "a")
     step_s = closes - second[1]
     nearest_s = max(opens, closes - camera.pulse_width_s) - camera.laser_delay_s
-    limits_m = _limits(camera, nearest_s, second[1] - camera.laser_delay_s)
+    limits_m = range_limits(camera, nearest_s, second[1] - camera.laser_delay_s)
     samples = _read(raw, camera, ("shutter_a1", "shutter_a2"), [closes - opens, second[1] - second[0]])
     return _gradient(raw, camera, samples, closes - camera.laser_delay_s, -step_s, limits_m)
 
@@ -52,7 +52,7 @@ def gradient2(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     first, second = gradient_windows(camera, "b")
     per_second = camera.speed_of_light_mps / 2
     gated_m, full_m, farthest_m = gating_ranges_m(camera)
-    limits_m = _limits(camera, full_m / per_second, farthest_m / per_second)
+    limits_m = range_limits(camera, full_m / per_second, farthest_m / per_second)
     samples = _read(raw, camera, ("shutter_b1", "shutter_b2"), [first[1] - first[0], second[1] - second[0]])
     return _gradient(raw, camera, samples, gated_m / per_second, second[0] - first[0], limits_m)
 
@@ -127,7 +127,7 @@ def csi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     per_second = camera.speed_of_light_mps / 2
     distance_m = per_second * (base_s - (delays_s[middle] + step_s * shift)) + camera.offset_m  # eq 3.25
     sigma_m = per_second * np.hypot(noise_s, _apex_error_s(camera))
-    low_m, high_m, _ = _limits(camera, base_s - delays_s[-2] - step_s / 2, base_s - delays_s[1] + step_s / 2)
+    low_m, high_m, _ = range_limits(camera, base_s - delays_s[-2] - step_s / 2, base_s - delays_s[1] + step_s / 2)
     inside = (at == middle) & (low_m <= distance_m) & (distance_m <= high_m)
     most_v = top_v + np.abs(shift) * fall_v
     return _image(raw, samples, distance_m, sigma_m, most_v, _enough(most_v, fall_v, fall_v2, camera), inside)
@@ -184,7 +184,7 @@ def dcsi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     distance_m = per_second * (base_s - (delays_s[start] + zero_s)) + camera.offset_m  # eq 3.26
     sigma_m = per_second * np.sqrt((by_y**2 * y_v2).sum(axis=0))  # eq 5.10
     edge_s = (used - 1) / 2 * step_s
-    low_m, high_m, _ = _limits(camera, base_s - delays_s[-1] + edge_s, base_s - delays_s[0] - edge_s)
+    low_m, high_m, _ = range_limits(camera, base_s - delays_s[-1] + edge_s, base_s - delays_s[0] - edge_s)
     inside &= (low_m <= distance_m) & (distance_m <= high_m)
     whole_v = -slope * camera.pulse_width_s / 2
     top = samples.value_v.argmax(axis=0)
@@ -241,9 +241,9 @@ def _pick(values: Floats, index: NDArray[np.intp]) -> Floats:
 def _read(raw: RawFrame, camera: PulsedCamera, names: tuple[str, ...], widths_s: list[float]) -> _Samples:
     """Return the planes of these names and their noise; widths_s: of the windows. Pixels refused already are 0."""
     needed = (*names, "n_acc")
-    value_v = np.stack([_plane(raw, name, needed) for name in names]).astype(np.float64)
-    n_acc = _plane(raw, "n_acc", needed)
-    ambient_vps: Image = _plane(raw, "ambient", needed) if "ambient" in raw.planes else np.zeros(n_acc.shape)
+    value_v = np.stack([image_plane(raw, name, needed) for name in names]).astype(np.float64)
+    n_acc = image_plane(raw, "n_acc", needed)
+    ambient_vps: Image = image_plane(raw, "ambient", needed) if "ambient" in raw.planes else np.zeros(n_acc.shape)
     pixel = camera.pixel
     finite = np.isfinite(value_v).all(axis=0) & np.isfinite(ambient_vps)
     full = (np.where(finite, value_v, 0.0) >= pixel.saturation_v * (1 - 1e-6)).any(axis=0)

@@ -51,8 +51,8 @@ def _mdsi(raw: RawFrame, camera: PulsedCamera, windows: str, falling: bool) -> R
     above 255), SATURATED, LOW_AMPLITUDE or OUT_OF_RANGE. Raises DataError for a missing or misshapen plane.
     """
     names = (f"shutter_{windows[0]}", f"shutter_{windows[1]}", "n_acc")
-    part, other, n_acc = [_plane(raw, name, names) for name in names]
-    ambient = _plane(raw, "ambient", names) if "ambient" in raw.planes else np.zeros(part.shape, np.float32)
+    part, other, n_acc = [image_plane(raw, name, names) for name in names]
+    ambient = image_plane(raw, "ambient", names) if "ambient" in raw.planes else np.zeros(part.shape, np.float32)
     tables, settings = _shutter_settings(camera, windows)
     images = _empty_images(part.shape)
     _shutter_quotient(part, other, n_acc, ambient, tables, settings, falling, "c" not in windows, *images)
@@ -74,7 +74,7 @@ def _shutter_settings(camera: PulsedCamera, windows: str) -> tuple[Floats, Float
         [
             camera.speed_of_light_mps / 2 * pulse_s,
             camera.speed_of_light_mps / 2 * start_s + camera.offset_m,
-            *_limits(camera, start_s + first * pulse_s, start_s + last * pulse_s),
+            *range_limits(camera, start_s + first * pulse_s, start_s + last * pulse_s),
             camera.far_margin_sigmas,
             camera.pixel.saturation_v * (1 - 1e-6),  # a float32 of the full scale counts as full
             camera.min_snr**2,
@@ -160,11 +160,11 @@ def three_tap(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     or OUT_OF_RANGE. Raises DataError for a missing or misshapen plane.
     """
     names = ("tap_1", "tap_2", "tap_3")
-    t1, t2, t3 = (_plane(raw, name, names) for name in names)
+    t1, t2, t3 = (image_plane(raw, name, names) for name in names)
     none = np.zeros(t1.shape, np.float32)
     dark, std = (f"{kind}_1" in raw.planes for kind in ("dark", "tap_std"))
-    d1, d2, d3 = (_plane(raw, f"dark_{i}", names) if dark else none for i in (1, 2, 3))
-    s1, s2, s3 = (_plane(raw, f"tap_std_{i}", names) if std else none for i in (1, 2, 3))
+    d1, d2, d3 = (image_plane(raw, f"dark_{i}", names) if dark else none for i in (1, 2, 3))
+    s1, s2, s3 = (image_plane(raw, f"tap_std_{i}", names) if std else none for i in (1, 2, 3))
     early, images = camera.pulse_lead_s > 0, _empty_images(t1.shape)
     _gate_quotient(t1, t2, t3, d1, d2, d3, s1, s2, s3, _gate_settings(camera, dark), early, std, *images)
     return RangeImage(raw.time_s, *images)
@@ -187,7 +187,7 @@ def _gate_settings(camera: PulsedCamera, dark: bool) -> Floats:
             camera.speed_of_light_mps / 2 * pulse_s,
             camera.speed_of_light_mps / 2 * camera.pulse_lead_s + camera.offset_m,
             closes_s / pulse_s - 1,
-            *_limits(camera, camera.pulse_lead_s + nearest_s, camera.pulse_lead_s + farthest_s),
+            *range_limits(camera, camera.pulse_lead_s + nearest_s, camera.pulse_lead_s + farthest_s),
             camera.far_margin_sigmas,
             noise.saturation_counts,
             camera.min_snr**2,
@@ -266,7 +266,7 @@ def _squared(sigma):  # type: ignore[no-untyped-def]
     return np.float64(sigma) ** 2 + 1 / 12
 
 
-def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
+def image_plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
     """Return a contiguous plane of a type that the kernels are compiled for.
 
     Raises DataError if it is missing, does not fit the first needed one, or does not hold real numbers.
@@ -287,7 +287,7 @@ def _plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
     return np.ascontiguousarray(plane, None if plane.dtype in _COMPILED else np.float64)
 
 
-def _limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[float, float, float]:
+def range_limits(camera: PulsedCamera, nearest_s: float, farthest_s: float) -> tuple[float, float, float]:
     """Return the interval of valid ranges and the end of the method's own, m, from its times of flight."""
     low_m, end_m = (camera.speed_of_light_mps / 2 * s + camera.offset_m for s in (nearest_s, farthest_s))
     high_m = end_m if camera.max_range_m is None else min(end_m, camera.max_range_m)
