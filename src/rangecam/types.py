@@ -87,7 +87,7 @@ class RawFrame:
         pulsed shutter    shutter_a, shutter_b, shutter_c (V, after correlated double sampling), n_acc,
                           ambient (V/s, rate of the background signal before the double sampling); gradient methods
                           shutter_a1, shutter_a2 or shutter_b1, shutter_b2; (D)CSI shutter_a_0.. (shutter_b_0..), one
-                          for each laser delay
+                          for each laser delay; with a calibration offset_a.. (V), range_slope, range_intercept_m
         pulsed taps       tap_1..3, dark_1..3, tap_std_1..3
         processed         range_m or depth_m, amplitude, noise_m (one sigma), status, confidence
     time_s: middle of the exposure on the camera's own clock.

@@ -1,6 +1,7 @@
 """Sources by URL: scenarios, recordings and NumPy files, each with the configuration to process it with."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -11,6 +12,8 @@ from rangecam.errors import DataError, UsageError
 from rangecam.io import npz, recording
 from rangecam.io.content import Captures, Content, Source
 from rangecam.io.files import check_source
+from rangecam.pulsed import made_for
+from rangecam.types import Capture
 
 _FAMILY = {"cw": "continuous-wave", "pulsed": "pulsed", "processed": "range-image"}
 
@@ -28,6 +31,7 @@ def open_source(
     Its settings, the last winning: those of `preset` (else of a preset named in `layers`, else those recorded with the
     source or of the preset that it suggests); facts that it states itself, such as its modulation frequency; `layers`
     of nested dicts. Or a ready `config`, which is taken as it is. seed: of the simulated noise.
+    The captures carry the calibration that `camera.calibration` names, unless it is the one that was recorded.
     Raises UsageError if there is no such source or the settings do not suit it, DataError if its content is at fault.
     """
     if config is not None and (preset or layers):
@@ -37,8 +41,25 @@ def open_source(
     if config is None:
         config = _configure(name, content, preset, layers)
     _check_kind(name, content, config.camera.kind, config.preset)
-    captures = Captures(partial(content.captures, config))
+    captures = _calibrated(content, config) or Captures(partial(content.captures, config))
     return Source(name, config, captures, content.n_frames(config), content.notes)
+
+
+def _calibrated(content: Content, config: Config) -> Captures | None:
+    """Return the captures with the planes of `camera.calibration`; None without one, or if the recording has them."""
+    camera = config.camera
+    recorded = content.settings.get("camera", {}).get("calibration")
+    if camera.kind != "pulsed" or not camera.calibration or camera.calibration == recorded:
+        return None
+    from rangecam.calibration import attach, load_calibration
+
+    calibration = load_calibration(Path(camera.calibration), made_for(camera, config.ranging))
+
+    def captures() -> Iterator[Capture]:
+        for capture in content.captures(config):
+            yield replace(capture, raw=attach(capture.raw, calibration))
+
+    return Captures(captures)
 
 
 def _open(name: str, seed: int) -> Content:

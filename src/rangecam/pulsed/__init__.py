@@ -1,10 +1,11 @@
 """The pulsed family: short light pulses, integrated in shutter windows or gates (König 2008)."""
 
 from rangecam.pulsed import delays, ranging
+from rangecam.pulsed.calibrated import calibrated, made_for
 from rangecam.pulsed.camera import simulate
 from rangecam.pulsed.settings import PulsedCamera
 
-RANGING = {**ranging.RANGING, **delays.RANGING}
-"""Ranging methods of pulsed cameras by name."""
+RANGING = {name: calibrated(method) for name, method in {**ranging.RANGING, **delays.RANGING}.items()}
+"""Ranging methods of pulsed cameras by name; they apply the calibration that a frame carries."""
 
-__all__ = ["RANGING", "PulsedCamera", "simulate"]
+__all__ = ["RANGING", "PulsedCamera", "made_for", "simulate"]

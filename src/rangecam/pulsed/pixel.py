@@ -1,5 +1,7 @@
 """The shutter pixel: light to volts, accumulation with its damping, and every part of its noise."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -67,6 +69,14 @@ def noise_variance(signal_v: ArrayLike, n_acc: ArrayLike, ambient_v: ArrayLike, 
     return d**2 * (dark_noise(n_acc, pixel) ** 2 + photon_noise(light_v, pixel) ** 2)
 
 
+@lru_cache(maxsize=8)
+def fixed_pattern(shape: tuple[int, ...], pixel: Pixel) -> tuple[Floats, Floats]:
+    """Return the offset of the read-out and that of every pulse, V, of each sample of this shape (K-PIX-16)."""
+    rng = np.random.default_rng(pixel.fixed_pattern_seed)
+    readout, pulse = rng.standard_normal((2, *shape))
+    return pixel.fixed_pattern_v * readout, pixel.fixed_pattern_per_pulse_v * pulse
+
+
 def read_adaptively(
     single_v: Floats, ambient_v: Floats, pixel: Pixel, averages: int, rng: np.random.Generator
 ) -> tuple[Floats, NDArray[np.uint8]]:
@@ -98,6 +108,9 @@ def _read(
     """Return noisy, converted values after `n` pulses: (averages, S, H, W) V."""
     signal_v = accumulated(single_v, n, pixel)
     noisy_v = signal_v + np.sqrt(noise_variance(signal_v, n, ambient_v, pixel)) * deviates
+    if pixel.fixed_pattern_v or pixel.fixed_pattern_per_pulse_v:
+        readout_v, pulse_v = fixed_pattern(single_v.shape, pixel)
+        noisy_v += readout_v + accumulated(pulse_v, n, pixel)
     return np.where(full, pixel.saturation_v, convert(noisy_v, pixel))
 
 

@@ -52,6 +52,12 @@ class Pixel:
     """Shot noise of laser and ambient light (eqs 4.24-4.28)."""
     adc_bits: Annotated[int, Interval(ge=0, le=24)] = 12
     """Bits of the converter over 0..saturation_v; 0: no rounding. *open*"""
+    fixed_pattern_v: NonNegative = 0.0
+    """Standard deviation, over pixels and shutters, of the offset of a read-out (simulation; 4.3.1). *open*"""
+    fixed_pattern_per_pulse_v: NonNegative = 0.0
+    """The same of the offset of every pulse, which accumulates as the signal does (simulation). *open*"""
+    fixed_pattern_seed: Annotated[int, Interval(ge=0)] = 0
+    """Which sensor it is: other seeds, other patterns (simulation)."""
     noise_threshold_v: NonNegative = 0.0
     """A signal (both shutters, or the long one) below it is LOW_AMPLITUDE (4.1.5); 0: `min_snr` alone decides."""
 
@@ -144,6 +150,9 @@ class PulsedCamera:
     pulse_lead_s: NonNegative = 0.0
     """Three-tap: how long before gate 2 opens the pulse is sent. If 0, tap 1 sees background only."""
 
+    calibration: str = ""
+    """File with dark images and the range line of each pixel (`rangecam.calibration`), read when a source is opened;
+    empty: none. A recording holds the calibration that it was made with."""
     offset_m: float = 0.0
     """Added to every range."""
     speed_of_light_mps: Positive = SPEED_OF_LIGHT
