@@ -22,20 +22,18 @@ def measure_segments(
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
     """
     count, shape = _number(labels), image.shape
-    sums, bounds, box = np.empty((count, 10)), np.empty((count, 6), np.float32), np.empty((count, 4), np.int64)
     range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
-    _sum(labels, points, range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32), sums, bounds, box)
+    planes = range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32)
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
-    means, near_m, n_pixels = np.empty((2, count)), np.empty(count), np.empty(count, np.int64)
-    _nearest(labels, points, sums, bounds, box, settings.near_fraction, near_m)
+    means, n_pixels, box = np.empty((3, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     known = _known(lens, mounting, shape, settings)
-    _evaluate(sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels)
+    _measure(labels, points, *planes, known, position_m, size_m, sigmas, means, n_pixels, box)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
         covariance_m2=point_covariance(position_m, sigmas, lens, mounting, shape),
         size_m=size_m,
-        near_m=near_m,
+        near_m=means[2],
         n_pixels=n_pixels,
         box=box,
         range_m=means[0],
@@ -46,11 +44,19 @@ def measure_segments(
 
 @lru_cache(maxsize=16)
 def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: SegmentSettings) -> Floats:
-    """Return what `_evaluate` needs of camera and settings, in its order."""
+    """Return what the kernels need of camera and settings, in their order."""
     noise = settings.shared_noise_pixels, settings.sigma_systematic_m, settings.sigma_pixel, settings.edge_jitter
     pitch = pixel_pitch(lens, shape)
     return np.array(
-        [*rotation(mounting).ravel(), *position(mounting), *pitch, *noise, lens.projection == "perspective"], float
+        [
+            *rotation(mounting).ravel(),
+            *position(mounting),
+            *pitch,
+            *noise,
+            lens.projection == "perspective",
+            settings.near_fraction,
+        ],
+        float,
     )
 
 
@@ -64,12 +70,22 @@ def _number(labels: Ints) -> int:
 
 
 @njit(cache=True, nogil=True)
+def _measure(  # type: ignore[no-untyped-def]
+    labels, points, range_m, sigma_m, amplitude, known, position_m, size_m, sigmas, means, n_pixels, box
+):
+    """Fill the six last arrays; means: range, amplitude and nearest x."""
+    sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
+    _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
+    _nearest(labels, points, sums, bounds, box, known[19], means[2])
+    _evaluate(sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels)
+
+
+@njit(cache=True, nogil=True)
 def _sum(  # type: ignore[no-untyped-def]
     labels, points, range_m, sigma_m, amplitude, sums, bounds, box
 ):
     """Sum, run by run of one label in a row: number; points, their squares; range, sigma squared, amplitude."""
     height, width = labels.shape
-    sums[:] = 0
     bounds[:, :3], bounds[:, 3:] = np.inf, -np.inf
     box[:, :2], box[:, 2:] = max(height, width), 0
     for row in range(height):
