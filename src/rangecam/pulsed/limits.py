@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rangecam.geometry import Lens
+from rangecam.pulsed import RANGING
 from rangecam.pulsed.camera import max_frame_rate_hz, simulate
 from rangecam.pulsed.pixel import dark_noise, responsivity
-from rangecam.pulsed.ranging import RANGING
 from rangecam.pulsed.settings import Pixel, PulsedCamera
 from rangecam.scene.view import View
 from rangecam.types import Floats

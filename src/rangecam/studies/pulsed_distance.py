@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from rangecam.pulsed import RANGING
 from rangecam.pulsed.camera import max_frame_rate_hz, simulate
 from rangecam.pulsed.limits import expected_sigma_m, targets_on_axis
-from rangecam.pulsed.ranging import RANGING
 from rangecam.pulsed.settings import Laser, Pixel, PulsedCamera
 from rangecam.studies.study import Claim, Panel, Series, Study, derived, judged, printed
 from rangecam.studies.thesis_camera import thesis_camera

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from rangecam.pulsed import RANGING
 from rangecam.pulsed.camera import simulate
 from rangecam.pulsed.limits import expected_sigma_m, targets_on_axis
-from rangecam.pulsed.ranging import RANGING
+from rangecam.pulsed.pixel import dark_noise
 from rangecam.pulsed.settings import PulsedCamera
 from rangecam.studies.study import Claim, Panel, Series, Study, derived, judged
 from rangecam.studies.thesis_camera import thesis_camera
@@ -17,12 +18,16 @@ RATIO_AT_M = (3.0, 5.0, 8.0, 10.0, 13.5, 16.0, 18.0, 20.0, 21.0)
 _REFLECTIVITY = 0.5
 _ACCUMULATIONS = 16
 _REPEATS = 5000
+_TOLERANCE = 3 / np.sqrt(2 * (_REPEATS - 1)) + 0.01
+_GRADIENT_STEPS_S = (10e-9, 30e-9, 50e-9)
+_GRADIENT_AT_M = (5.0, 10.0, 15.0)
+_DCSI_STEP_S = 9e-9
 _CODES = 16
 """Bits over the wide scale: the step of 12 bits over 1.5 V."""
 
 
 def pulsed_methods(rng: np.random.Generator) -> Study:
-    """Ranging methods of the pulsed camera compared: MDSI1-4, calculated and simulated, with and without rounding.
+    """Ranging methods of the pulsed camera compared: MDSI1-4, gradient, DCSI, calculated and simulated.
 
     rng: of the simulated images.
     """
@@ -33,8 +38,22 @@ def pulsed_methods(rng: np.random.Generator) -> Study:
     found = {name: _simulated(simulated_m, name, camera, rng) for name in METHODS}
     rounding = replace(camera, pixel=replace(camera.pixel, adc_bits=_CODES))
     rounded = {name: _simulated(simulated_m, name, rounding, rng) for name in ("mdsi1", "mdsi3")}
-    claims = [*_ratios(camera), *_shapes(at_m, calculated), *_equal(simulated_m, camera, found, rounded)]
-    panels = [_sigma_panel(at_m, calculated, simulated_m, found), _ratio_panel(at_m, calculated)]
+    delayed = _with_delays(camera, 5)
+    others = {
+        "gradient 1, 30 ns": expected_sigma_m(at_m, _REFLECTIVITY, _with_step(camera, 30e-9), "gradient1")[0],
+        "DCSI, 5 delays": expected_sigma_m(at_m, _REFLECTIVITY, delayed, "dcsi")[0],
+    }
+    calculated["dcsi"] = others["DCSI, 5 delays"]
+    found["dcsi"] = _simulated(simulated_m, "dcsi", delayed, rng)
+    claims = [
+        *_ratios(camera),
+        *_shapes(at_m, calculated),
+        *_gradient(camera),
+        *_dcsi(camera),
+        *_equal(simulated_m, camera, found, rounded),
+        _dcsi_equal(simulated_m, delayed, found["dcsi"]),
+    ]
+    panels = [_sigma_panel(at_m, calculated, simulated_m, found), _ratio_panel(at_m, calculated, others)]
     return Study("pulsed-methods", "König 2008, 5.1", claims, panels)
 
 
@@ -88,13 +107,81 @@ def _shapes(at_m: Floats, sigma: dict[str, Floats]) -> list[Claim]:
     ]
 
 
+def _gradient(camera: PulsedCamera) -> list[Claim]:
+    """Return how much worse the gradient method is (eq 5.8 with the difference below the line, E-K-12)."""
+    mdsi3 = expected_sigma_m(_GRADIENT_AT_M, _REFLECTIVITY, camera)[0]
+    claims = []
+    for step_s in _GRADIENT_STEPS_S:
+        sigma = expected_sigma_m(_GRADIENT_AT_M, _REFLECTIVITY, _with_step(camera, step_s), "gradient1")[0]
+        for range_m, ratio in zip(_GRADIENT_AT_M, sigma / mdsi3, strict=True):
+            number, step = f"N-K-063.{step_s * 1e9:g}", f"{step_s * 1e9:g} ns apart"
+            text = f"GRAD1 especially bad: sigma_d over that of MDSI3 at {range_m:g} m, {step}"
+            why = "above one; with the sum of the print below the line it would be the best method (E-K-12)"
+            claims.append(judged(number, text, None, ratio, "", ratio > 1, why))
+    return claims
+
+
+def _with_step(camera: PulsedCamera, step_s: float) -> PulsedCamera:
+    return replace(camera, shutters="aa", gradient_step_s=step_s)
+
+
+def _dcsi(camera: PulsedCamera) -> list[Claim]:
+    """Return the standard deviation of DCSI where its delays lie evenly about the change of sign.
+
+    In units of c/2 T_Pw sigma_U / U_c, in which MDSI3 has 0.71 to 1 and MDSI1 1 to 1.41.
+    """
+    claims = [
+        derived("N-K-064", f"DCSI with {used} delays, over c/2 T_Pw sigma_U/U_c", _dcsi_unit(camera, used), "")
+        for used in (2, 5, 10, 20)
+    ]
+    why = "the noise does not make it worse than MDSI1 and MDSI3; frame rate and complexity speak against it (E-K-42)"
+    for used in (5, 10, 20):
+        n = 100 // used
+        fewer = replace(camera, pixel=replace(camera.pixel, accumulations=(n,)))
+        dark = [float(dark_noise(k, camera.pixel)) / k for k in (n, 100)]
+        share = _dcsi_unit(fewer, used) * dark[0] / dark[1]
+        text = f"DCSI worse than MDSI3 (1 at most) at equal pulses: {used} delays of {n}, in units of n = 100"
+        claims.append(judged("N-K-064b", text, None, share, "", share > 1, why))
+    return claims
+
+
+def _dcsi_equal(at_m: Floats, delayed: PulsedCamera, found: Floats) -> Claim:
+    ratio = found / expected_sigma_m(at_m, _REFLECTIVITY, delayed, "dcsi")[0]
+    worst = float(ratio[np.argmax(np.abs(ratio - 1))])
+    text = "sigma_d DCSI with 5 delays, simulated over calculated, 5-20 m: farthest from 1"
+    agrees = abs(worst - 1) < _TOLERANCE
+    return judged(
+        "N-K-065", text, None, worst, "", agrees, f"within three standard errors of {_REPEATS} values and 1 %"
+    )
+
+
+def _dcsi_unit(camera: PulsedCamera, used: int) -> float:
+    at_m = np.linspace(12.0, 13.5, 151)  # more than one step of the delays
+    sigma_m = expected_sigma_m(at_m, _REFLECTIVITY, _with_delays(camera, used), "dcsi")[0]
+    quotient = at_m / (camera.speed_of_light_mps / 2 * camera.pulse_width_s)
+    mdsi3_m = expected_sigma_m(at_m, _REFLECTIVITY, camera)[0]
+    return float((sigma_m / mdsi3_m * np.hypot(quotient, 1 - quotient)).min())  # eq 5.6
+
+
+def _with_delays(camera: PulsedCamera, used: int) -> PulsedCamera:
+    """Return the camera with laser delays that reach all ranges, `used` of them in the line of DCSI."""
+    step_s = _DCSI_STEP_S
+    return replace(
+        camera,
+        shutters="ab_delayed",
+        delay_first_s=-20 * step_s,
+        delay_step_s=step_s,
+        delay_count=43,
+        linear_part_s=used * step_s,
+    )
+
+
 def _equal(at_m: Floats, camera: PulsedCamera, found: dict[str, Floats], rounded: dict[str, Floats]) -> list[Claim]:
     """Return that simulation leads to the same as calculation (fig 5.2), within three standard errors and 1 %.
 
     1 %: the quotient of two noisy values spreads a little more than its linear propagation says.
     """
     why = f"simulated ({_REPEATS} values); within three standard errors and 1 % of the calculated"
-    tolerance = 3 / np.sqrt(2 * (_REPEATS - 1)) + 0.01
     claims = []
     for number, name in ((1, "mdsi1"), (3, "mdsi3")):
         sigma = expected_sigma_m(at_m, _REFLECTIVITY, camera, name)[0]
@@ -105,7 +192,7 @@ def _equal(at_m: Floats, camera: PulsedCamera, found: dict[str, Floats], rounded
                 text = (
                     f"sigma_d {name.upper()}, {range_m:g} m, simulated {how} rounding; calculated {sigma[i] * 100:.2f}"
                 )
-                agrees = abs(values[name][i] / sigma[i] - 1) < tolerance
+                agrees = abs(values[name][i] / sigma[i] - 1) < _TOLERANCE
                 claims.append(
                     judged(f"N-K-065.{number}.{range_m:g}", text, None, values[name][i] * 100, "cm", agrees, why)
                 )
@@ -125,11 +212,8 @@ def _sigma_panel(at_m: Floats, calculated: dict[str, Floats], simulated_m: Float
     return Panel(title, "range (m)", "standard deviation of the range (cm)", [*lines, *points])
 
 
-def _ratio_panel(at_m: Floats, calculated: dict[str, Floats]) -> Panel:
-    series = [
-        Series(f"{name.upper()} / MDSI3", at_m, calculated[name] / calculated["mdsi3"])
-        for name in METHODS
-        if name != "mdsi3"
-    ]
+def _ratio_panel(at_m: Floats, calculated: dict[str, Floats], others: dict[str, Floats]) -> Panel:
+    mdsi = {name.upper(): calculated[name] for name in METHODS if name != "mdsi3"}
+    series = [Series(name, at_m, sigma / calculated["mdsi3"]) for name, sigma in (mdsi | others).items()]
     golden = Series("golden ratio", at_m, np.full(at_m.shape, (1 + np.sqrt(5)) / 2), line="--")
-    return Panel("Beside MDSI3", "range (m)", "ratio of standard deviations", [*series, golden])
+    return Panel("Beside MDSI3", "range (m)", "ratio of standard deviations to MDSI3", [*series, golden])
