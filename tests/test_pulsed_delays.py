@@ -110,12 +110,11 @@ def test_unequal_windows_and_delays_leave_the_range_alone(name):
 
 @pytest.mark.parametrize(("range_m", "printed_m"), [(6.0, 42.0), (12.0, 36.0), (20.0, 28.0)])
 def test_the_printed_gradient_method_2_fails(range_m, printed_m):
-    """E-K-04: eq 3.24 as printed gives 42, 36, 28 m for 6, 12, 20 m."""
-    camera = replace(CAMERA, shutters="bb", shutter_b_width_s=T_PW, gradient_step_s=30e-9)
+    """E-K-04: eq 3.24 as printed gives 42, 36, 28 m for 6, 12, 20 m with windows of 320 ns."""
+    camera = replace(CAMERA, shutters="bb", shutter_b_width_s=320e-9, gradient_step_s=30e-9)
     planes = planes_of(range_m, camera)
     b1, b2 = planes["shutter_b1"][0, 0], planes["shutter_b2"][0, 0]
-    # its T_Int,b1 as the closing time after the pulse left, its difference as printed
-    assert C / 2 * (T_PW - 30e-9 * b1 / (b1 - b2)) + (48.0 - 27.0) == pytest.approx(printed_m)
+    assert C / 2 * (320e-9 - 30e-9 * b1 / (b1 - b2)) == pytest.approx(printed_m)
     assert decode("gradient2", planes, camera).range_m[0, 0] == pytest.approx(range_m, abs=4e-6)
 
 
@@ -405,6 +404,12 @@ def test_a_missing_plane_is_named(name):
     planes = planes_of(9.0, camera)
     with pytest.raises(DataError, match="'n_acc' is missing"):
         decode(name, {k: v for k, v in planes.items() if k != "n_acc"}, camera)
+
+
+def test_a_long_list_of_planes_is_not_told_in_full():
+    two = planes_of(9.0, replace(CAMERA, shutters="ab"))
+    with pytest.raises(DataError, match=r"needs shutter_a_0, shutter_a_1, \.\.\., shutter_b_18, n_acc, the frame has"):
+        decode("dcsi", two, camera_of("dcsi"))
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -272,8 +272,9 @@ def image_plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
     Raises DataError if it is missing, does not fit the first needed one, or does not hold real numbers.
     """
     if name not in raw.planes:
+        wanted = needed if len(needed) <= 8 else (*needed[:2], "...", *needed[-2:])
         raise DataError(
-            f"frame {raw.frame_id}: plane '{name}' is missing; this method needs {', '.join(needed)}, "
+            f"frame {raw.frame_id}: plane '{name}' is missing; this method needs {', '.join(wanted)}, "
             f"the frame has {', '.join(sorted(raw.planes)) or 'none'}"
         )
     plane, shape = np.asarray(raw.planes[name]), np.asarray(raw.planes[needed[0]]).shape
