@@ -4,7 +4,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - study: claims, studies, JSON, table
 - figure: how a study is drawn
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
-- pulsed_optics, pulsed_noise, pulsed_methods, pulsed_distance, eye_safety: one experiment each
+- pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
 """
 
 from collections.abc import Callable
@@ -14,6 +14,7 @@ import numpy as np
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
+from rangecam.studies.pulsed_correlation import pulsed_correlation
 from rangecam.studies.pulsed_distance import pulsed_distance
 from rangecam.studies.pulsed_methods import pulsed_methods
 from rangecam.studies.pulsed_noise import pulsed_noise
@@ -23,6 +24,7 @@ from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table
 STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-optics": pulsed_optics,
     "pulsed-noise": pulsed_noise,
+    "pulsed-correlation": pulsed_correlation,
     "pulsed-methods": pulsed_methods,
     "pulsed-distance": pulsed_distance,
     "eye-safety": eye_safety,
@@ -46,7 +48,7 @@ def run_study(name: str, seed: int = 0) -> Study:
 def study_list() -> str:
     """Return a line for each study: its name and what it is about."""
     lines = ((name, (function.__doc__ or "").splitlines()[0]) for name, function in STUDIES.items())
-    return "\n".join(f"{name:16} {line}" for name, line in lines)
+    return "\n".join(f"{name:18} {line}" for name, line in lines)
 
 
 __all__ = [
