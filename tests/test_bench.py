@@ -65,10 +65,12 @@ def test_the_opencv_composition_finds_the_same_cleaned_range() -> None:
         return kept[stage]
 
     process_frame(moment.capture.raw, Tracks.empty(), moment.capture.ego, moment.config, keep)
-    range_m, _, mask = peers.opencv_cw_range(moment.config)(moment.capture.raw.planes)
+    range_m, _, mask, why = peers.opencv_cw_range(moment.config)(moment.capture.raw.planes)
     ours, both = kept["clean"], kept["clean"].valid & (mask > 0)
     assert both.sum() > 0.7 * ours.valid.sum()
     assert np.median(np.abs(range_m - ours.range_m)[both]) < 0.02
+    np.testing.assert_array_equal(why == 0, mask > 0)
+    assert np.mean(why == ours.why) > 0.9  # the reasons, too, but for the pixels at edges
 
 
 def test_the_opencv_chains_find_the_same_nearest_object() -> None:

@@ -15,11 +15,11 @@ import numpy as np
 
 from rangecam.config import Config
 from rangecam.geometry import position, rays, rotation
-from rangecam.types import Floats, Image, Segments
+from rangecam.types import Floats, Image, Segments, Why
 
 Planes = Mapping[str, Image]
-Cleaned = tuple[Floats, Floats, Any]
-"""Range, sigma and mask (H, W)."""
+Cleaned = tuple[Floats, Floats, Any, Any]
+"""Range, sigma, mask of the valid pixels and the reason of each invalid one (H, W)."""
 MARKER = 1e4
 """Stands for an invalid range in the peers, which know no validity."""
 
@@ -45,12 +45,14 @@ def opencv_cw_range(config: Config) -> Callable[[Planes], Cleaned]:
         amplitude = cv2.multiply(amplitude, 0.5)
         variance = cv2.add(cv2.multiply(amplitude, shot), floor_variance)
         sigma = cv2.divide(cv2.sqrt(variance), amplitude, scale=metres_per_rad / math.sqrt(2))
-        mask = cv2.compare(sigma, metres_per_rad * camera.max_phase_sigma_rad, cv2.CMP_LE)
         brightest = cv2.max(cv2.max(c0, c90), cv2.max(c180, c270))
         darkest = cv2.min(cv2.min(c0, c90), cv2.min(c180, c270))
-        mask = cv2.bitwise_and(mask, cv2.compare(brightest, high, cv2.CMP_LT))
-        mask = cv2.bitwise_and(mask, cv2.compare(darkest, low, cv2.CMP_GT))
-        return _cleaned(cv2, config, range_m, sigma, amplitude, mask)
+        quiet = cv2.compare(sigma, metres_per_rad * camera.max_phase_sigma_rad, cv2.CMP_LE)
+        kept = _start(cv2, cv2.compare(brightest, darkest, cv2.CMP_NE), Why.NO_SIGNAL)
+        kept = _refuse(cv2, kept, cv2.compare(brightest, high, cv2.CMP_LT), Why.SATURATED)
+        kept = _refuse(cv2, kept, cv2.compare(darkest, low, cv2.CMP_GT), Why.SATURATED)
+        kept = _refuse(cv2, kept, quiet, Why.LOW_AMPLITUDE)
+        return _cleaned(cv2, config, range_m, sigma, amplitude, kept)
 
     return range_of
 
@@ -63,7 +65,7 @@ def opencv_cw_chain(config: Config) -> Callable[[Planes], float]:
     bin_m, top_m = config.segments.bin_width_m, 10.0
 
     def chain(planes: Planes) -> float:
-        range_m, sigma, mask = clean(planes)
+        range_m, sigma, mask, _ = clean(planes)
         points = _points(cv2, range_m, config)
         depth = cv2.extractChannel(points, 0)
         histogram = cv2.calcHist([depth], [0], mask, [int(top_m / bin_m)], [0, top_m]).ravel()
@@ -93,9 +95,11 @@ def opencv_pulsed_chain(config: Config) -> Callable[[Planes], float]:
         damped = (1 - np.exp(-0.0153 * n_acc)) / (1 - math.exp(-0.0153)) / n_acc  # König 2008, eq 4.17
         noise = (np.sqrt(n_acc * 0.379e-3**2 + 0.442e-3**2) * damped).astype(np.float32)  # eq 4.21
         sigma = cv2.divide(cv2.multiply(cv2.magnitude(a, b), noise), cv2.multiply(total, total), scale=half_c_pulse)
-        mask = cv2.compare(total, cv2.multiply(noise, 5.0), cv2.CMP_GE)
-        mask = cv2.bitwise_and(mask, cv2.compare(cv2.max(a, b), 1.5, cv2.CMP_LT))
-        range_m, sigma, mask = _cleaned(cv2, config, range_m, sigma, total, mask)
+        kept = _start(cv2, cv2.compare(n_acc, 0, cv2.CMP_GT), Why.NO_SIGNAL)
+        kept = _refuse(cv2, kept, cv2.compare(cv2.max(a, b), 1.5, cv2.CMP_LT), Why.SATURATED)
+        kept = _refuse(cv2, kept, cv2.compare(total, cv2.multiply(noise, 5.0), cv2.CMP_GE), Why.LOW_AMPLITUDE)
+        kept = _refuse(cv2, kept, cv2.inRange(range_m, camera.min_range_m, camera.max_range_m), Why.OUT_OF_RANGE)
+        range_m, sigma, mask, _ = _cleaned(cv2, config, range_m, sigma, total, kept)
         points = _points(cv2, range_m, config)
         inside = grow(range_m, mask)
         parts = [cv2.compare(inside, label, cv2.CMP_EQ) for label in range(2, int(inside.max()) + 1)]
@@ -205,17 +209,32 @@ class _Tracker:
         return kalman
 
 
-def _cleaned(cv2: Any, config: Config, range_m: Floats, sigma: Floats, amplitude: Floats, mask: Any) -> Cleaned:
-    """Thresholds, common neighbours, median, floor and area of interest, sigma and mask kept.
+def _start(cv2: Any, passed: Any, reason: Why) -> tuple[Any, Any]:
+    """Return mask and reasons after the first test."""
+    return passed, cv2.bitwise_and(cv2.bitwise_not(passed), int(reason))
+
+
+def _refuse(cv2: Any, kept: tuple[Any, Any], passed: Any, reason: Why) -> tuple[Any, Any]:
+    """Return mask and reasons after one more test: the first reason stays."""
+    mask, why = kept
+    failed = cv2.bitwise_and(cv2.bitwise_not(passed), mask)
+    return cv2.bitwise_and(mask, passed), cv2.bitwise_or(why, cv2.bitwise_and(failed, int(reason)))
+
+
+def _cleaned(
+    cv2: Any, config: Config, range_m: Floats, sigma: Floats, amplitude: Floats, kept: tuple[Any, Any]
+) -> Cleaned:
+    """Thresholds, common neighbours, median, floor and area of interest; sigma, mask and reasons kept.
 
     OpenCV has no median that knows of invalid pixels: the mean of two, with the invalid ones far and near, is the best
     that it offers. The sigma of a median of n is taken as 1.25 sigma / sqrt(n).
     """
     c = config.clean
     weakest, per_square, floor_m, near, far = _limits(config, (range_m.shape[0], range_m.shape[1]))
-    mask = cv2.bitwise_and(mask, cv2.compare(amplitude, weakest, cv2.CMP_GE))
+    kept = _refuse(cv2, kept, cv2.compare(amplitude, weakest, cv2.CMP_GE), Why.LOW_AMPLITUDE)
     light = cv2.multiply(amplitude, cv2.multiply(range_m, range_m))
-    mask = cv2.bitwise_and(mask, cv2.compare(light, per_square, cv2.CMP_GE))
+    kept = _refuse(cv2, kept, cv2.compare(light, per_square, cv2.CMP_GE), Why.WRAPPED)
+    mask = kept[0]
     reach = cv2.add(cv2.multiply(sigma, c.neighbour_tolerance_sigmas / math.sqrt(2)), c.neighbour_tolerance_m / 2)
     outside = cv2.bitwise_not(mask)
     range_m[outside > 0] = MARKER
@@ -229,7 +248,8 @@ def _cleaned(cv2: Any, config: Config, range_m: Floats, sigma: Floats, amplitude
                 difference = cv2.absdiff(range_m, ranges[i : i + height, j : j + width])
                 allowed = cv2.add(reach, reaches[i : i + height, j : j + width])
                 agree = cv2.add(agree, cv2.bitwise_and(cv2.compare(difference, allowed, cv2.CMP_LE), 1))
-    mask = cv2.bitwise_and(mask, cv2.compare(agree, c.min_neighbours, cv2.CMP_GE))
+    kept = _refuse(cv2, kept, cv2.compare(agree, c.min_neighbours, cv2.CMP_GE), Why.ISOLATED)
+    mask = kept[0]
     if c.median != "off":
         outside = cv2.bitwise_not(mask) > 0
         range_m[outside] = MARKER
@@ -241,9 +261,9 @@ def _cleaned(cv2: Any, config: Config, range_m: Floats, sigma: Floats, amplitude
         number = cv2.boxFilter(cv2.min(mask, 1), cv2.CV_32F, (3, 3), normalize=False)
         sigma = cv2.divide(sigma, cv2.sqrt(number), scale=1.25)
     top = cv2.add(range_m, cv2.multiply(sigma, c.floor_margin_sigmas))
-    mask = cv2.bitwise_and(mask, cv2.compare(top, floor_m, cv2.CMP_LE))
-    mask = cv2.bitwise_and(mask, cv2.compare(range_m, near, cv2.CMP_GE))
-    return range_m, sigma, cv2.bitwise_and(mask, cv2.compare(range_m, far, cv2.CMP_LE))
+    kept = _refuse(cv2, kept, cv2.compare(top, floor_m, cv2.CMP_LE), Why.FLOOR)
+    inside = cv2.bitwise_and(cv2.compare(range_m, near, cv2.CMP_GE), cv2.compare(range_m, far, cv2.CMP_LE))
+    return range_m, sigma, *_refuse(cv2, kept, inside, Why.OUTSIDE_AREA)
 
 
 def _measured(cv2: Any, points: Any, sigma: Floats, parts: list[Any], min_pixels: int) -> list[tuple[Floats, Floats]]:
