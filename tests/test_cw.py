@@ -217,7 +217,7 @@ def test_the_reason_in_pseudo_rows_covers_those_rows_only():
 @pytest.mark.parametrize(
     ("planes", "message"),
     [
-        ({"phase_0": np.zeros((2, 2))}, "plane 'phase_90' is missing; cw_four_phase needs phase_0, phase_90"),
+        ({"phase_0": np.zeros((2, 2))}, "plane 'phase_90' is missing; this method needs phase_0, phase_90"),
         ({}, "plane 'phase_0' is missing"),
         (
             {**{n: np.zeros((2, 2)) for n in PLANES}, "phase_180": np.zeros((2, 3))},

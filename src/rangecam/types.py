@@ -12,12 +12,14 @@ Collections (`Segments`, `Tracks`, `Collisions`) are structs of arrays, one row 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rangecam.values import value
 
 Image = NDArray[Any]
 """An array of shape (H, W)."""
@@ -26,26 +28,6 @@ Ints = NDArray[np.integer[Any]]
 
 SPEED_OF_LIGHT = 299_792_458.0
 """m/s. The theses compute with 3e8 (X-01); cameras take it as a setting so that their numbers can be reproduced."""
-
-
-T = TypeVar("T")
-
-
-def _quick(cls: type[T]) -> type[T]:
-    """Let a frozen dataclass that every frame makes be made in half the time, with the same arguments.
-
-    The constructor that it comes with calls `object.__setattr__` for each field, which costs a frame more than most of
-    what is done with the fields; this one fills the dictionary of the instance.
-    """
-    made: Any = cls
-    names = [each.name for each in fields(made)]
-    lines = [f"def __init__(self, {', '.join(names)}):", "values = self.__dict__"]
-    lines += [f"values[{name!r}] = {name}" for name in names]
-    scope: dict[str, Any] = {}
-    exec("\n    ".join(lines), scope)
-    scope["__init__"].__defaults__ = made.__init__.__defaults__
-    made.__init__ = scope["__init__"]
-    return cls
 
 
 class Why(IntEnum):
@@ -78,7 +60,7 @@ class Why(IntEnum):
     """At the image border, where a filter has no full neighbourhood."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class RawFrame:
     """What a sensor delivers for one image: named planes of samples, as they came.
 
@@ -104,8 +86,7 @@ class RawFrame:
         return height, width
 
 
-@_quick
-@dataclass(frozen=True, eq=False)
+@value
 class RangeImage:
     """The waist of the system: from here on nobody knows which family of camera it was.
 
@@ -140,7 +121,7 @@ class Rows:
         return len(next(iter(vars(self).values())))
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Segment:
     """One connected object of one image: row i of `Segments`, same fields."""
 
@@ -156,8 +137,7 @@ class Segment:
     amplitude: float
 
 
-@_quick
-@dataclass(frozen=True, eq=False)
+@value
 class Segments(Rows):
     """The object list of one image (K-SEG-05, S-SEG-03): N segments.
 
@@ -212,7 +192,7 @@ CLASSES = ("unknown", "vru", "vehicle", "obstacle")
 """Object classes (K-CLS-01): vulnerable road user, vehicle, obstacle."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Track:
     """One tracked object: row i of `Tracks`, with names for parts of the state."""
 
@@ -250,8 +230,7 @@ class Track:
         return CLASSES[int(np.argmax(self.class_probability))]
 
 
-@_quick
-@dataclass(frozen=True, eq=False)
+@value
 class Tracks(Rows):
     """All tracks after one frame: the whole memory of the system, handed back into the next step.
 
@@ -330,8 +309,7 @@ class Ego:
     forward: bool = True
 
 
-@_quick
-@dataclass(frozen=True, eq=False)
+@value
 class Collisions(Rows):
     """What each track would do to us: row i belongs to row i of `Tracks`.
 
@@ -345,8 +323,7 @@ class Collisions(Rows):
     p_collision: Floats
 
 
-@_quick
-@dataclass(frozen=True, eq=False)
+@value
 class Decision:
     """What to do now, and why.
 
@@ -370,8 +347,7 @@ class Decision:
     p_collision: float = 0.0
 
 
-@_quick
-@dataclass(frozen=True, eq=False)
+@value
 class Frame:
     """Everything known about one image: what recorder, report, workbench, bus and applications receive.
 
@@ -386,7 +362,7 @@ class Frame:
     decision: Decision
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Truth:
     """What a simulation knows and a camera does not.
 
@@ -402,7 +378,7 @@ class Truth:
     velocities_mps: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Capture:
     """What a source yields: a raw frame, the state of the own vehicle at that time, and the truth where it is known."""
 

@@ -9,7 +9,7 @@ from numba import njit
 
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import metres_per_radian, sample_variance
-from rangecam.errors import DataError
+from rangecam.planes import plane_of
 from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
 
 PLANES = ("phase_0", "phase_90", "phase_180", "phase_270")
@@ -72,20 +72,8 @@ def _kernel_settings(camera: CwCamera) -> Floats:
 
 
 def _samples(raw: RawFrame, name: str) -> Image:
-    """Return a plane as contiguous uint16 or float32; raises DataError if it is missing or has another shape."""
-    if name not in raw.planes:
-        raise DataError(
-            f"frame {raw.frame_id}: plane '{name}' is missing; cw_four_phase needs {', '.join(PLANES)}, "
-            f"the frame has {', '.join(sorted(raw.planes)) or 'none'}"
-        )
-    plane, shape = np.asarray(raw.planes[name]), np.asarray(raw.planes[PLANES[0]]).shape
-    if plane.ndim != 2 or plane.shape != shape:
-        raise DataError(
-            f"frame {raw.frame_id}: plane '{name}' has shape {plane.shape}; it must be an image (rows, columns) "
-            f"of the shape of '{PLANES[0]}', {shape}"
-        )
-    if plane.dtype.kind not in "uif":
-        raise DataError(f"frame {raw.frame_id}: plane '{name}' holds {plane.dtype}; it must hold real numbers")
+    """Return a plane as contiguous uint16 or float32: the kernel is compiled for these two."""
+    plane = plane_of(raw, name, PLANES)
     return np.ascontiguousarray(plane, _UINT16 if plane.dtype == _UINT16 else _FLOAT32)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rangecam.errors import DataError, UsageError
+from rangecam.errors import UsageError
+from rangecam.planes import plane_of
 from rangecam.pulsed.pixel import damping, noise_variance, photon_noise, step_v
 from rangecam.pulsed.settings import Pixel, PulsedCamera
 from rangecam.pulsed.signal import gate_windows, shutter_windows
@@ -267,24 +268,8 @@ def _squared(sigma):  # type: ignore[no-untyped-def]
 
 
 def image_plane(raw: RawFrame, name: str, needed: tuple[str, ...]) -> Image:
-    """Return a contiguous plane of a type that the kernels are compiled for.
-
-    Raises DataError if it is missing, does not fit the first needed one, or does not hold real numbers.
-    """
-    if name not in raw.planes:
-        wanted = needed if len(needed) <= 8 else (*needed[:2], "...", *needed[-2:])
-        raise DataError(
-            f"frame {raw.frame_id}: plane '{name}' is missing; this method needs {', '.join(wanted)}, "
-            f"the frame has {', '.join(sorted(raw.planes)) or 'none'}"
-        )
-    plane, shape = np.asarray(raw.planes[name]), np.asarray(raw.planes[needed[0]]).shape
-    if plane.ndim != 2 or plane.shape != shape:
-        raise DataError(
-            f"frame {raw.frame_id}: plane '{name}' has shape {plane.shape}; it must be an image (rows, columns) "
-            f"of the shape of '{needed[0]}', {shape}"
-        )
-    if plane.dtype.kind not in "uif":
-        raise DataError(f"frame {raw.frame_id}: plane '{name}' holds {plane.dtype}; it must hold real numbers")
+    """Return a contiguous plane of a type that the kernels are compiled for (see `plane_of`)."""
+    plane = plane_of(raw, name, needed)
     return np.ascontiguousarray(plane, None if plane.dtype in _COMPILED else np.float64)
 
 

@@ -1,0 +1,26 @@
+"""How a value that flows is declared: a frozen dataclass without comparison, cheap to make."""
+
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, TypeVar, dataclass_transform
+
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False)
+def value(cls: type[T]) -> type[T]:
+    """Make `cls` a frozen dataclass that compares by identity, as values with arrays must.
+
+    The constructor of a frozen dataclass calls `object.__setattr__` for each field, which costs a frame more than most
+    of what is done with the fields; this one fills the dictionary of the instance, in half the time.
+    """
+    made: Any = dataclass(frozen=True, eq=False)(cls)
+    if all(each.default_factory is MISSING for each in fields(made)):
+        names = [each.name for each in fields(made)]
+        lines = [f"def __init__(self, {', '.join(names)}):", "values = self.__dict__"]
+        lines += [f"values[{name!r}] = {name}" for name in names]
+        scope: dict[str, Any] = {}
+        exec("\n    ".join(lines), scope)  # as dataclasses make their own constructors
+        scope["__init__"].__defaults__ = made.__init__.__defaults__
+        made.__init__ = scope["__init__"]
+    finished: type[T] = made
+    return finished
