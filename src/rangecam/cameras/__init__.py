@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from typing import Any
 
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.types import Capture
@@ -16,5 +15,5 @@ def open_camera(name: str) -> Callable[..., Iterator[Capture]]:
     if name not in CAMERAS:
         raise UsageError(f"unknown camera '{name}'{did_you_mean(name, CAMERAS)}; cameras: {', '.join(sorted(CAMERAS))}")
     module, _, function = CAMERAS[name].partition(":")
-    opened: Any = getattr(import_module(module), function)
-    return opened  # type: ignore[no-any-return]
+    opened: Callable[..., Iterator[Capture]] = getattr(import_module(module), function)
+    return opened

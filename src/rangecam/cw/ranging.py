@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -81,9 +82,9 @@ _UINT16, _FLOAT32 = np.dtype(np.uint16), np.dtype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _four_phase(  # type: ignore[no-untyped-def]
-    c0, c90, c180, c270, settings, range_m, sigma_m, amplitude, why
-):
+def _four_phase(
+    c0: Any, c90: Any, c180: Any, c270: Any, settings: Any, range_m: Any, sigma_m: Any, amplitude: Any, why: Any
+) -> Any:
     """Fill the four output images; everything is a select, so that the loop becomes vector instructions."""
     c0, c90, c180, c270 = c0.reshape(-1), c90.reshape(-1), c180.reshape(-1), c270.reshape(-1)
     range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
@@ -121,7 +122,7 @@ def _four_phase(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _atan2(y, x):  # type: ignore[no-untyped-def]
+def _atan2(y: Any, x: Any) -> Any:
     """Return the angle of (x, y) in -pi..pi, in float32 to 3e-7 rad: a minimax polynomial in the first octant."""
     ax, ay = abs(x), abs(y)
     t = _smaller(ax, ay) / _larger(_larger(ax, ay), np.float32(1e-30))
@@ -134,13 +135,13 @@ def _atan2(y, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _larger(a, b):  # type: ignore[no-untyped-def]
+def _larger(a: Any, b: Any) -> Any:
     """Return the larger one; unlike `max` without a case for NaN, which would cost the vector instructions."""
     return a if a > b else b
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _smaller(a, b):  # type: ignore[no-untyped-def]
+def _smaller(a: Any, b: Any) -> Any:
     return a if a < b else b
 
 

@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -86,9 +87,16 @@ def _gains(camera: CwCamera, shape: tuple[int, int]) -> tuple[Floats, Floats]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sum_rays(  # type: ignore[no-untyped-def]
-    range_m, reflectivity, cos_incidence, turn, phase_at_zero, signal, active, reflected
-):
+def _sum_rays(
+    range_m: Any,
+    reflectivity: Any,
+    cos_incidence: Any,
+    turn: Any,
+    phase_at_zero: Any,
+    signal: Any,
+    active: Any,
+    reflected: Any,
+) -> Any:
     """Average over the rays of each pixel: strength cos(phase + step), strength, and reflectivity."""
     n_rays, n_pixels = range_m.shape
     share = np.float32(1) / np.float32(n_rays)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -99,9 +100,20 @@ def _noise_tables(pixel: Pixel) -> Floats:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _shutter_quotient(  # type: ignore[no-untyped-def]
-    part, other, n_acc, ambient, tables, settings, falling, summed, range_m, sigma_m, amplitude, why
-):
+def _shutter_quotient(
+    part: Any,
+    other: Any,
+    n_acc: Any,
+    ambient: Any,
+    tables: Any,
+    settings: Any,
+    falling: Any,
+    summed: Any,
+    range_m: Any,
+    sigma_m: Any,
+    amplitude: Any,
+    why: Any,
+) -> Any:
     """Fill the four output images; `summed`: the whole is part + other, else it is other.
 
     The first loop looks the tables up; the second has selects instead of branches, and becomes vector instructions.
@@ -203,9 +215,24 @@ def _gate_settings(camera: PulsedCamera, dark: bool) -> Floats:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gate_quotient(  # type: ignore[no-untyped-def]
-    t1, t2, t3, d1, d2, d3, s1, s2, s3, settings, early, measured, range_m, sigma_m, amplitude, why
-):
+def _gate_quotient(
+    t1: Any,
+    t2: Any,
+    t3: Any,
+    d1: Any,
+    d2: Any,
+    d3: Any,
+    s1: Any,
+    s2: Any,
+    s3: Any,
+    settings: Any,
+    early: Any,
+    measured: Any,
+    range_m: Any,
+    sigma_m: Any,
+    amplitude: Any,
+    why: Any,
+) -> Any:
     """Fill the four output images; `early`: tap 1 holds light of the pulse; `measured`: s1..3 are standard deviations.
 
     Selects instead of branches, so that the loop becomes vector instructions.
@@ -256,13 +283,13 @@ def _gate_quotient(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _modelled(light, read_variance, per_count):  # type: ignore[no-untyped-def]
+def _modelled(light: Any, read_variance: Any, per_count: Any) -> Any:
     """Return the variance of a tap by the light in it."""
     return read_variance + per_count * (light if light > 0 else 0.0)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _squared(sigma):  # type: ignore[no-untyped-def]
+def _squared(sigma: Any) -> Any:
     """Return a measured variance; a converter that always shows the same code still rounds."""
     return np.float64(sigma) ** 2 + 1 / 12
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -143,7 +144,9 @@ def _center_and_half_size(shape: Box | Cylinder) -> tuple[tuple[float, float, fl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(directions, cones, shapes, range_m, reflectivity, cos_incidence, object_id):  # type: ignore[no-untyped-def]
+def _cast(
+    directions: Any, cones: Any, shapes: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any
+) -> Any:
     """Keep the nearest hit of each ray; a run of rays skips shapes whose bounding sphere its cone does not touch."""
     x, y, z = directions[0], directions[1], directions[2]
     range_m[:] = np.inf
@@ -164,7 +167,7 @@ def _cast(directions, cones, shapes, range_m, reflectivity, cos_incidence, objec
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _may_touch(cone, shape):  # type: ignore[no-untyped-def]
+def _may_touch(cone: Any, shape: Any) -> Any:
     """Return whether the cone of rays from the origin can touch the bounding sphere of a shape."""
     radius2 = shape[6] ** 2 + shape[7] ** 2 + shape[8] ** 2
     distance2 = shape[1] ** 2 + shape[2] ** 2 + shape[3] ** 2
@@ -178,7 +181,7 @@ def _may_touch(cone, shape):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_box(ray, shape, range_m, reflectivity, cos_incidence, object_id):  # type: ignore[no-untyped-def]
+def _cast_box(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
     """A ray is inside a box while it is between all three pairs of faces; the last one entered is the face it hits."""
     c, s = np.float32(shape[4]), np.float32(shape[5])
     ox = np.float32(-(shape[4] * shape[1] + shape[5] * shape[2]))
@@ -207,7 +210,7 @@ def _cast_box(ray, shape, range_m, reflectivity, cos_incidence, object_id):  # t
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_cylinder(ray, shape, range_m, reflectivity, cos_incidence, object_id):  # type: ignore[no-untyped-def]
+def _cast_cylinder(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
     """A ray is inside a cylinder while it is inside the circle and between the ends."""
     ox, oy, oz = np.float32(-shape[1]), np.float32(-shape[2]), np.float32(-shape[3])
     radius, half = np.float32(shape[6]), np.float32(shape[8])
@@ -236,7 +239,7 @@ def _cast_cylinder(ray, shape, range_m, reflectivity, cos_incidence, object_id):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _between(start, direction, half):  # type: ignore[no-untyped-def]
+def _between(start: Any, direction: Any, half: Any) -> Any:
     """Return where a ray enters and leaves the slab from -half to half."""
     inverse = np.float32(1) / direction
     one, other = (-half - start) * inverse, (half - start) * inverse
@@ -244,6 +247,6 @@ def _between(start, direction, half):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _not_zero(x):  # type: ignore[no-untyped-def]
+def _not_zero(x: Any) -> Any:
     """Return x, or a tiny number in its place, so that 0 / 0 cannot happen for rays along a face."""
     return x if abs(x) > np.float32(1e-9) else np.float32(1e-9)

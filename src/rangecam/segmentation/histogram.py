@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -67,9 +68,7 @@ def _gather(distance: Floats, why: Ints, values: Floats, places: Ints) -> tuple[
 
 
 @njit(cache=True, nogil=True)
-def _label(  # type: ignore[no-untyped-def]
-    values, places, number, low, bins, criteria, labels
-):
+def _label(values: Any, places: Any, number: Any, low: Any, bins: Any, criteria: Any, labels: Any) -> Any:
     """Give each listed pixel the label of its bin."""
     counts, label_of_bin, flat = np.zeros(bins, np.int64), np.zeros(bins, np.int32), labels.reshape(-1)
     bin_of = np.empty(number, np.int32)

@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -70,9 +71,20 @@ def _number(labels: Ints) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _measure(  # type: ignore[no-untyped-def]
-    labels, points, range_m, sigma_m, amplitude, known, position_m, size_m, sigmas, means, n_pixels, box
-):
+def _measure(
+    labels: Any,
+    points: Any,
+    range_m: Any,
+    sigma_m: Any,
+    amplitude: Any,
+    known: Any,
+    position_m: Any,
+    size_m: Any,
+    sigmas: Any,
+    means: Any,
+    n_pixels: Any,
+    box: Any,
+) -> Any:
     """Fill the six last arrays; means: range, amplitude and nearest x."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
@@ -81,9 +93,7 @@ def _measure(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _sum(  # type: ignore[no-untyped-def]
-    labels, points, range_m, sigma_m, amplitude, sums, bounds, box
-):
+def _sum(labels: Any, points: Any, range_m: Any, sigma_m: Any, amplitude: Any, sums: Any, bounds: Any, box: Any) -> Any:
     """Sum, run by run of one label in a row: number; points, their squares; range, sigma squared, amplitude."""
     height, width = labels.shape
     bounds[:, :3], bounds[:, 3:] = np.inf, -np.inf
@@ -132,7 +142,7 @@ def _any(labels: Ints, row: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _nearest(labels, points, sums, bounds, box, fraction, near_m):  # type: ignore[no-untyped-def]
+def _nearest(labels: Any, points: Any, sums: Any, bounds: Any, box: Any, fraction: Any, near_m: Any) -> Any:
     """Find the x of each segment than which only a fraction of its pixels is nearer, by a histogram of x."""
     counts = np.empty(_NEAR_BINS, np.int32)
     for k in range(len(near_m)):
@@ -155,9 +165,9 @@ _NEAR_BINS = 32
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _evaluate(  # type: ignore[no-untyped-def]
-    sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels
-):
+def _evaluate(
+    sums: Any, bounds: Any, box: Any, known: Any, position_m: Any, size_m: Any, sigmas: Any, means: Any, n_pixels: Any
+) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
     for k in range(len(sums)):
