@@ -86,7 +86,7 @@ def test_a_frame_without_any_light_gives_no_object_and_no_brake(preset: str) -> 
     assert not frame.decision.brake
 
 
-@pytest.mark.parametrize("scenario", ["test-scene", "crossing-person"])
+@pytest.mark.parametrize("scenario", ["approach-box", "test-scene", "crossing-person"])
 def test_after_warming_up_no_frame_compiles_anything(scenario: str) -> None:
     code = f"""
 import sys, rangecam

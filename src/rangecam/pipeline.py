@@ -55,6 +55,7 @@ def warm_up(capture: Capture, config: Config) -> None:
     plane = np.full(shape, 2.0, np.float32)
     image = RangeImage(0.0, plane, plane, plane, np.zeros(shape, np.uint8))
     points = to_world(image, lens, config.mounting)
+    SEGMENTATION[config.segmentation](image, points, config.segments)
     segments = measure_segments(np.ones(shape, np.int32), points, image, lens, config.mounting, config.segments)
     tracks = Tracks.empty()
     for time_s in (0.0, 0.1):
