@@ -186,3 +186,21 @@ def test_a_replaced_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> 
         part.write_text("new")
         assert not (tmp_path / "a").exists()
     assert (tmp_path / "a").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_device_is_refused_and_stays_a_device() -> None:
+    with pytest.raises(UsageError, match="it is a device or a pipe; name a file"):
+        check_target("/dev/null")
+    assert Path("/dev/null").is_char_device()
+
+
+def test_a_folder_in_which_nothing_can_be_made_is_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(**options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
+    with pytest.raises(UsageError, match=r"cannot write .*a.npz: No space left on device"):
+        check_target(tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())

@@ -1,6 +1,7 @@
 """Files that appear whole or not at all, and the check of their names before anything is computed."""
 
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,18 +24,25 @@ def check_source(path: Path | str) -> Path:
 def check_target(path: Path | str, source: str = "") -> Path:
     """Return `path` if a file can be written there; raises UsageError if not, or if it is the file `source` being read.
 
-    Nothing is created.
+    A file is made in the folder to see that it can be, and is gone at once. Devices and pipes are refused: a finished
+    file takes the place of what was there, which would be the device itself.
     """
     path = Path(path)
     if not path.parent.is_dir():
         raise UsageError(f"cannot write {path}: the folder {path.parent} does not exist")
     if path.is_dir():
         raise UsageError(f"cannot write {path}: it is a folder; name a file")
+    if path.exists() and not path.is_file():
+        raise UsageError(f"cannot write {path}: it is a device or a pipe; name a file")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise UsageError(f"cannot write {path}: no permission")
     if source and path.exists() and Path(source).exists() and path.samefile(source):
         raise UsageError(f"cannot write {path}: it is the file that is read; name another file")
-    return path
+    try:
+        with tempfile.TemporaryFile(dir=path.parent):
+            return path
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 @contextmanager
