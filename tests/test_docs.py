@@ -7,7 +7,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
+from rangecam.cli import main
 from rangecam.config import preset_names
 from rangecam.scene.scenario import scenario_names
 
@@ -25,6 +27,24 @@ def test_the_python_of_the_readme_runs_and_ends_with_a_brake() -> None:
     with contextlib.redirect_stdout(out):
         exec(compile(block, "README.md", "exec"), {})
     assert "stopping needs" in out.getvalue().splitlines()[-1]
+
+
+def test_a_recording_can_be_read_as_its_description_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "scenario:test-scene", "--record", "recording.mcap", "--set", "camera.rows=12"]) == 0
+    with open("recording.mcap", "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    for channel in summary.channels.values():
+        topic = re.sub(r"^/(raw|truth)/.*", r"/\1/PLANE", channel.topic)
+        assert f"`{topic}`" in text
+        assert f"`{summary.schemas[channel.schema_id].name}`" in text
+    (block,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(compile(block, "recordings.md", "exec"), {})
+    assert len(out.getvalue().splitlines()) == 60
 
 
 def test_the_two_commands_of_the_readme_are_one_line_each_and_set_up_everything() -> None:
