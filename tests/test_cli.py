@@ -84,7 +84,8 @@ def test_run_prints_one_json_object_and_writes_what_was_asked(
 def test_run_without_json_prints_a_summary_for_people(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(recording)]) == 0
     out = capsys.readouterr().out
-    assert "1 frames" in out
+    assert "1 frame in" in out
+    assert "0 confirmed tracks" in out
     assert "100.0 % valid" in out
     assert "brake      never" in out
 

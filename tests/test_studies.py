@@ -283,3 +283,16 @@ def test_a_wrong_call_is_one_line_and_exit_code_two(
     assert captured.out == ""
     assert len(captured.err.splitlines()) == 1
     assert all(word in captured.err for word in words)
+
+
+def test_all_studies_make_one_page_that_opens_offline(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "all", "--folder", str(tmp_path)]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["studies.html"]
+    page = (tmp_path / "studies.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == len(STUDIES)
+    assert all(f"<h2>{name}</h2>" in page for name in STUDIES)
+    assert not [word for word in ("http://", "https://", "<script") if word in page]
+    (total,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("all ")]
+    results = [run_study(name) for name in STUDIES]
+    claims = [claim.agrees for study in results for claim in study.claims]
+    assert [int(n) for n in total[1:]] == [len(claims), claims.count(True), claims.count(False), claims.count(None)]

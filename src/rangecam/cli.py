@@ -153,7 +153,7 @@ def study(
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """Repeat the experiments of the theses: NAME or all; without a name, list them. Draws a figure of each."""
+    """Repeat the experiments of the theses: NAME (table and NAME.png) or all (studies.html); without a name, list."""
     from rangecam import studies
     from rangecam.io.files import check_target, replacing
 
@@ -163,16 +163,25 @@ def study(
     if name is None:
         raise UsageError(f"study --json needs a name: {', '.join([*studies.STUDIES, 'all'])}")
     names = studies.study_names(name)
-    if json:
-        results = [studies.run_study(one, seed) for one in _progress(names, len(names), "studies")]
+    path = None if json else check_target(folder / ("studies.html" if name == "all" else f"{name}.png"))
+    results = [studies.run_study(one, seed) for one in _progress(names, len(names), "studies")]
+    if path is None:
         print(json_format.dumps(studies.as_json(results)))
         return
-    for one in _progress(names, len(names), "studies"):
-        path = check_target(folder / f"{one}.png")
-        result = studies.run_study(one, seed)
-        with replacing(path) as part:
-            part.write_bytes(studies.draw(result))
-        print(f"{studies.table(result)}\nfigure     {path}\n")
+    with replacing(path) as part:
+        part.write_bytes(_study_page(results) if name == "all" else studies.draw(results[0]))
+    print(studies.verdicts(results) if name == "all" else studies.table(results[0]))
+    print(f"{'report' if name == 'all' else 'figure'}     {path}")
+
+
+def _study_page(results: Sequence[Any]) -> bytes:
+    """Return one page with the figure and the claims of every study."""
+    from rangecam import studies
+    from rangecam.report.template import page, section
+
+    lead = "What the theses state beside what this program computes; where they differ, the reason."
+    parts = [section(one.name, one.section, studies.draw(one), studies.table(one)) for one in results]
+    return page("The experiments of the theses", lead, studies.verdicts(results), parts).encode("utf-8")
 
 
 @app.command

@@ -143,11 +143,11 @@ def describe(result: dict[str, Any]) -> str:
     events = [event for event in result["decisions"]["events"] if event["brake"]]
     brakes = [f"brake      at {event['time_s']:.2f} s: {event['reason']}" for event in events]
     lines = [
-        f"{result['source']}: {result['frames']} frames in {result['duration_s']:.2f} s",
+        f"{result['source']}: {count(result['frames'], 'frame')} in {result['duration_s']:.2f} s",
         f"camera     {camera['name']} ({camera['kind']}), preset {result['preset']}",
         f"methods    {camera['ranging']}, {camera['segmentation']}",
         f"pixels     {100 * result['valid_fraction']:.1f} % valid on average",
-        f"objects    {len(tracks)} confirmed tracks",
+        f"objects    {count(len(tracks), 'confirmed track')}",
         *_first([_describe_track(track) for track in tracks], 8),
         *(_first(brakes, 5) or ["brake      never"]),
     ]
@@ -155,6 +155,11 @@ def describe(result: dict[str, Any]) -> str:
         total = result["latency_ms"]["sum"]
         lines.append(f"speed      {total['p50']:.2f} ms from raw samples to decision (99 %: {total['p99']:.2f} ms)")
     return "\n".join(lines)
+
+
+def count(number: int, what: str) -> str:
+    """Return a number of things, in the singular where it is one."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _describe_track(track: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ from matplotlib.patches import Ellipse, Patch, Rectangle
 from rangecam.clean import clean_stages
 from rangecam.config import Config
 from rangecam.geometry import Lens, rays
+from rangecam.summary import count
 from rangecam.types import POSITION, Ego, Floats, Frame, Image, RangeImage, TrackStatus, Why
 
 INVALID = "#d5dae1"
@@ -347,11 +348,7 @@ def _show_segments(ax: Axes, frame: Frame, aspect: float) -> None:
             Rectangle((left - 0.5, top - 0.5), right - left, bottom - top, fill=False, edgecolor=INK, linewidth=1)
         )
         ax.text(left, top - 1, f"{segment.range_m:.2f} m", fontsize=8, va="bottom")
-    ax.set(title=_count(len(frame.segments), "segment"), xticks=[], yticks=[])
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+    ax.set(title=count(len(frame.segments), "segment"), xticks=[], yticks=[])
 
 
 def _ellipse(ax: Axes, centre: Floats, covariance: Floats) -> None:

@@ -1,6 +1,5 @@
 """The report as a sink: it keeps a little of every frame and all of the most telling one."""
 
-import html
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -8,6 +7,7 @@ from typing import Any, Self
 from rangecam.config import Config
 from rangecam.io.files import check_target, replacing
 from rangecam.report import figures
+from rangecam.report.template import page, section
 from rangecam.summary import Stopwatch, Summary, describe
 from rangecam.types import Capture, Frame, Tracks, TrackStatus
 
@@ -52,11 +52,10 @@ class Report:
         _, capture, tracks = self._best
         life = figures.LifeOfAFrame()
         frame = process_frame(capture.raw, tracks, capture.ego, self._config, life)
-        page = _page(
-            self._source, self._config, describe(self._summary.result(self._watch)), self._sections(frame, life)
-        )
+        summary = describe(self._summary.result(self._watch))
+        sections = [section(*parts) for parts in self._sections(frame, life)]
         with replacing(self._path) as part:
-            part.write_text(page, encoding="utf-8")
+            part.write_text(page(self._source, self._config.description, summary, sections), encoding="utf-8")
 
     def __enter__(self) -> Self:
         return self
@@ -95,29 +94,3 @@ class Report:
                 figures.timeline(self._timeline, config.decision.margin),
             ),
         ]
-
-
-def _page(source: str, config: Config, summary: str, sections: list[tuple[str, str, str]]) -> str:
-    body = "\n".join(
-        f"<section><h2>{html.escape(title)}</h2><p>{html.escape(text)}</p>"
-        f'<img alt="{html.escape(title)}" src="data:image/png;base64,{picture}"></section>'
-        for title, text, picture in sections
-    )
-    return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>rangecam: {html.escape(source)}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #1f2933; background: #f5f7fa; margin: 0 }}
-main {{ max-width: 1100px; margin: 0 auto; padding: 24px 20px 60px }}
-h1 {{ font-size: 26px; margin: 8px 0 0 }} h2 {{ font-size: 19px; margin: 0 0 4px }}
-p {{ margin: 0 0 12px; color: #52606d; max-width: 80ch }}
-section {{ background: #fff; border: 1px solid #e4e7eb; border-radius: 8px; padding: 18px 20px; margin: 18px 0 }}
-pre {{ font: 14px/1.45 ui-monospace, monospace; white-space: pre-wrap; margin: 0 }}
-img {{ max-width: 100%; height: auto; display: block; margin: 0 auto }}
-</style></head><body><main>
-<h1>{html.escape(source)}</h1>
-<p>{html.escape(config.description)}</p>
-<section><pre>{html.escape(summary)}</pre></section>
-{body}
-</main></body></html>
-"""

@@ -19,7 +19,7 @@ from rangecam.studies.pulsed_distance import pulsed_distance
 from rangecam.studies.pulsed_methods import pulsed_methods
 from rangecam.studies.pulsed_noise import pulsed_noise
 from rangecam.studies.pulsed_optics import pulsed_optics
-from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table
+from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table, verdicts
 
 STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-optics": pulsed_optics,
@@ -63,4 +63,5 @@ __all__ = [
     "study_list",
     "study_names",
     "table",
+    "verdicts",
 ]

@@ -105,3 +105,14 @@ def table(study: Study) -> str:
             f"{claim.id:13} {thesis:>10} {claim.computed:10.5g} {claim.unit:8} {verdict:8} {claim.text} ({claim.why})"
         )
     return "\n".join(lines)
+
+
+def verdicts(studies: Sequence[Study]) -> str:
+    """Return how many claims of each study agree, differ, or have no printed number: a line each, and the sum."""
+    rows = [(study.name, [claim.agrees for claim in study.claims]) for study in studies]
+    rows.append(("all", [agrees for _, column in rows for agrees in column]))
+    lines = [f"{'':20} {'claims':>7} {'agree':>7} {'differ':>7} {'derived':>8}"]
+    for name, column in rows:
+        agree, differ = column.count(True), column.count(False)
+        lines.append(f"{name:20} {len(column):7} {agree:7} {differ:7} {column.count(None):8}")
+    return "\n".join(lines)
