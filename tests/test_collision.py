@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rangecam.collision import CorridorSettings, look_ahead, predict_collisions, time_to_reach
+from rangecam.collision import CorridorSettings, look_ahead, time_to_reach
 from rangecam.types import POSITION, Collisions, Ego, Tracks, TrackStatus
 
 NO_SIZE = (0.0, 0.0, 0.0)
@@ -35,7 +35,7 @@ def one_track(state: object, covariance: object = 1e-8, size: object = NO_SIZE, 
 
 
 def predict(tracks: Tracks, ego: Ego | None = None, **settings: object) -> Collisions:
-    return predict_collisions(tracks, ego or Ego(), CorridorSettings(**settings))  # type: ignore[arg-type]
+    return look_ahead(tracks, ego or Ego(), CorridorSettings(**settings), 0.5)[0]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

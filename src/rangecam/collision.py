@@ -28,20 +28,6 @@ class CorridorSettings:
     half a second to tell 3 m/s2 from nothing, and meanwhile cries wolf."""
 
 
-def predict_collisions(tracks: Tracks, ego: Ego, settings: CorridorSettings) -> Collisions:
-    """Return time to collision, lateral position then, and collision probability of every track (K-CLS-03, K-CLS-04).
-
-    The nearest surface of the object lies d = x - near_offset_m - front_m ahead. It reaches us at the smallest
-    positive root t of d + v t + a t^2 / 2 (König 2008, eq 6.49 corrected by E-K-24; the tracks' axes are fixed to the
-    vehicle, so v and a are relative already). Its sigma comes from the track's covariance by error propagation. An
-    object that overlaps our front now collides at t = 0; one that lies behind it never.
-
-    p_collision: probability that the surface arrives within the horizon times that of the object then overlapping the
-    corridor. In a turn the corridor bends with the yaw rate; where the own speed is unknown, as for a standing object.
-    """
-    return look_ahead(tracks, ego, settings, 1.0)[0]
-
-
 class InPath(NamedTuple):
     """A confirmed track that is in the corridor or will be when it reaches us."""
 
@@ -65,9 +51,17 @@ _COLUMNS = len(InPath._fields)
 def look_ahead(
     tracks: Tracks, ego: Ego, settings: CorridorSettings, min_probability: float
 ) -> tuple[Collisions, list[InPath]]:
-    """Return the collisions of `predict_collisions`, and the tracks that are in the path, nearest first.
+    """Return the collision of every track with us (K-CLS-03, K-CLS-04), and the tracks in the path, nearest first.
 
-    Confirmed tracks count, also while they coast through missed frames, if they overlap the corridor now or will
+    The nearest surface of the object lies d = x - near_offset_m - front_m ahead. It reaches us at the smallest
+    positive root t of d + v t + a t^2 / 2 (König 2008, eq 6.49 corrected by E-K-24; the tracks' axes are fixed to the
+    vehicle, so v and a are relative already). Its sigma comes from the track's covariance by error propagation. An
+    object that overlaps our front now collides at t = 0; one that lies behind it never.
+
+    p_collision: probability that the surface arrives within the horizon times that of the object then overlapping the
+    corridor. In a turn the corridor bends with the yaw rate; where the own speed is unknown, as for a standing object.
+
+    In the path: confirmed tracks, also while they coast through missed frames, that overlap the corridor now or will
     collide with at least `min_probability`, and are not behind our front.
     """
     n = tracks.status.size
