@@ -63,13 +63,14 @@ def opencv_cw_chain(config: Config) -> Callable[[Planes], float]:
 
     clean, track = opencv_cw_range(config), _Tracker(1 / config.camera.frame_rate_hz)
     bin_m, top_m = config.segments.bin_width_m, 10.0
+    smoothing = np.ones(config.segments.smoothing_bins) / config.segments.smoothing_bins
 
     def chain(planes: Planes) -> float:
         range_m, sigma, mask, _ = clean(planes)
         points = _points(cv2, range_m, config)
         depth = cv2.extractChannel(points, 0)
         histogram = cv2.calcHist([depth], [0], mask, [int(top_m / bin_m)], [0, top_m]).ravel()
-        slope = np.diff(np.convolve(histogram, np.ones(3) / 3, "same"))
+        slope = np.diff(np.convolve(histogram, smoothing, "same"))
         minima = np.flatnonzero((slope[:-1] < 0) & (slope[1:] >= 0)) + 1
         borders = [0.0, *((minima + 0.5) * bin_m).tolist(), top_m]
         parts = [cv2.bitwise_and(cv2.inRange(depth, near, far), mask) for near, far in pairwise(borders)]
@@ -85,6 +86,7 @@ def opencv_pulsed_chain(config: Config) -> Callable[[Planes], float]:
     cv2.setNumThreads(1)
     camera = config.camera
     assert camera.kind == "pulsed"
+    pixel = camera.pixel
     half_c_pulse = camera.speed_of_light_mps * camera.pulse_width_s / 2
     grow, track = _flood_filled(config), _Tracker(1 / camera.frame_rate_hz)
 
@@ -92,12 +94,15 @@ def opencv_pulsed_chain(config: Config) -> Callable[[Planes], float]:
         a, b, n_acc = planes["shutter_a"], planes["shutter_b"], planes["n_acc"]
         total = cv2.add(a, b)
         range_m = cv2.multiply(cv2.divide(b, total), half_c_pulse)
-        damped = (1 - np.exp(-0.0153 * n_acc)) / (1 - math.exp(-0.0153)) / n_acc  # König 2008, eq 4.17
-        noise = (np.sqrt(n_acc * 0.379e-3**2 + 0.442e-3**2) * damped).astype(np.float32)  # eq 4.21
+        damped = (1 - np.exp(-pixel.damping * n_acc)) / (1 - math.exp(-pixel.damping)) / n_acc  # König 2008, eq 4.17
+        variance = n_acc * pixel.sensor_noise_v**2 + pixel.readout_noise_v**2  # eq 4.21
+        noise = (np.sqrt(variance) * damped).astype(np.float32)
         sigma = cv2.divide(cv2.multiply(cv2.magnitude(a, b), noise), cv2.multiply(total, total), scale=half_c_pulse)
         kept = _start(cv2, cv2.compare(n_acc, 0, cv2.CMP_GT), Why.NO_SIGNAL)
-        kept = _refuse(cv2, kept, cv2.compare(cv2.max(a, b), 1.5, cv2.CMP_LT), Why.SATURATED)
-        kept = _refuse(cv2, kept, cv2.compare(total, cv2.multiply(noise, 5.0), cv2.CMP_GE), Why.LOW_AMPLITUDE)
+        kept = _refuse(cv2, kept, cv2.compare(cv2.max(a, b), pixel.saturation_v, cv2.CMP_LT), Why.SATURATED)
+        kept = _refuse(
+            cv2, kept, cv2.compare(total, cv2.multiply(noise, camera.min_snr), cv2.CMP_GE), Why.LOW_AMPLITUDE
+        )
         kept = _refuse(cv2, kept, cv2.inRange(range_m, camera.min_range_m, camera.max_range_m), Why.OUT_OF_RANGE)
         range_m, sigma, mask, _ = _cleaned(cv2, config, range_m, sigma, total, kept)
         points = _points(cv2, range_m, config)
