@@ -9,6 +9,7 @@ import io
 import shutil
 import tempfile
 import zipfile
+from abc import ABC, abstractmethod
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
@@ -36,7 +37,31 @@ COLUMNS = (
 """Columns of the table of tracks."""
 
 
-class ImagesWriter:
+class _Export(ABC):
+    """A sink whose file appears when it is left without an error; what was kept for it is given back in any case."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Write the file."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Give back the temporary files."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self.close()
+        finally:
+            self._release()
+
+
+class ImagesWriter(_Export):
     """Writes the range images of all frames to a NumPy file: `IMAGES` and time_s (N,).
 
     Raises UsageError at once if `path` cannot be written or is the file `source` that is read.
@@ -82,25 +107,13 @@ class ImagesWriter:
         for part in self._parts.values():
             part.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self.close()
-        finally:
-            self._release()
-
 
 def _write_header(file: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
     header = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
     npy.write_array_header_1_0(file, header)
 
 
-class TracksWriter:
+class TracksWriter(_Export):
     """Writes a table (CSV) with a row for each frame and track that is confirmed or, unseen for a while, coasting.
 
     Numbers read back exactly; inf and nan stand where there is no time to collision.
@@ -147,14 +160,5 @@ class TracksWriter:
             shutil.copyfileobj(self._part, file, 1 << 20)
         self._text.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self.close()
-        finally:
-            self._text.close()
+    def _release(self) -> None:
+        self._text.close()

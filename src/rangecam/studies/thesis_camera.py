@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+
 from rangecam.optics import irradiance_on_sensor
 from rangecam.pulsed.pixel import responsivity
 from rangecam.pulsed.settings import Laser, Pixel, PulsedCamera
@@ -15,6 +17,7 @@ def thesis_camera(shutters: Literal["ab", "abc"] = "ab") -> PulsedCamera:
     """
     pixel = Pixel(damping=0.0, photon_noise=False, adc_bits=0)
     camera = PulsedCamera(speed_of_light_mps=3e8, shutters=shutters, pixel=pixel)
-    one_watt = float(irradiance_on_sensor(1.0, 2.0, 1.0, 1.0, 1.0, camera.objective))  # type: ignore[arg-type]  # 0-d
+    range_m, one = np.array(2.0), np.array(1.0)
+    one_watt = float(irradiance_on_sensor(1.0, range_m, one, one, one, camera.objective))
     power_w = pixel.saturation_v / (one_watt * camera.pulse_width_s * responsivity(pixel))
     return replace(camera, laser=Laser(peak_power_w=power_w))
