@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from rangecam.config import load_config, parse
 from rangecam.cw import RANGING, CwCamera, simulate
-from rangecam.cw.camera import exposure_times_s
 from rangecam.cw.ranging import PLANES, cw_four_phase
+from rangecam.cw.sequence import exposure_times_s
 from rangecam.cw.signal import correlate, metres_per_radian, reference_amplitude, sample_variance
 from rangecam.errors import DataError, UsageError
 from rangecam.geometry import Lens, rays
@@ -247,7 +247,7 @@ def test_ranging_leaves_its_input_as_it_was():
         ("phase_sign", 2),
         ("pixel", "quantum"),
         ("max_phase_sigma_rad", 0.9),
-        ("capture_order", [0]),
+        ("capture_order", ["first"]),
     ],
 )
 def test_impossible_settings_are_refused_by_name(setting, value):

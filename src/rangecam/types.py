@@ -65,7 +65,8 @@ class RawFrame:
     """What a sensor delivers for one image: named planes of samples, as they came.
 
     planes: name -> (H, W) array. The names are the vocabulary of recordings and files alike:
-        continuous wave   phase_0, phase_90, phase_180, phase_270 (the step in degrees)
+        continuous wave   phase_0, phase_90, phase_180, phase_270 (the step in degrees); of frequency number k of
+                          several f<k>_phase_0..
         pulsed shutter    shutter_a, shutter_b, shutter_c (V, after correlated double sampling), n_acc,
                           ambient (V/s, rate of the background signal before the double sampling); gradient methods
                           shutter_a1, shutter_a2 or shutter_b1, shutter_b2; (D)CSI shutter_a_0.. (shutter_b_0..), one

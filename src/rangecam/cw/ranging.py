@@ -53,6 +53,7 @@ def _kernel_settings(camera: CwCamera) -> Floats:
     metres_per_rad = metres_per_radian(camera)
     single_ended = camera.pixel == "single_ended"
     known_light = 0.0 if single_ended else camera.ambient_lsb
+    per_light = float(sample_variance(1.0, camera) - sample_variance(0.0, camera))
     floor_variance = float(sample_variance(known_light, camera)) + camera.quantisation_lsb**2 / 12
     return np.array(
         [
@@ -60,8 +61,8 @@ def _kernel_settings(camera: CwCamera) -> Floats:
             camera.offset_m / metres_per_rad,
             metres_per_rad,
             max(floor_variance, 1e-12),
-            camera.shot_noise_lsb2_per_lsb * (1.0 if single_ended else 0.0),
-            camera.shot_noise_lsb2_per_lsb * (0.0 if single_ended else 1 / camera.demodulation_contrast),
+            per_light * (1.0 if single_ended else 0.0),
+            per_light * (0.0 if single_ended else 1 / camera.demodulation_contrast),
             camera.black_level_lsb,
             -_LARGEST if camera.lower_limit_lsb is None else camera.lower_limit_lsb,
             _LARGEST if camera.full_scale_lsb is None else camera.full_scale_lsb,

@@ -8,12 +8,12 @@ from rangecam.geometry import Lens
 from rangecam.settings import NonNegative, NonNegativeInt, Positive, PositiveInt, settings
 from rangecam.types import SPEED_OF_LIGHT
 
-PhaseStep = Literal[0, 90, 180, 270]
+PhaseStep = Annotated[float, Interval(ge=0, lt=360)]
 
 
 @settings
 class CwCamera:
-    """A camera that lights the scene with modulated light and samples its correlation at four phase steps.
+    """A camera that lights the scene with modulated light and samples its correlation at several phase steps.
 
     Levels and amplitudes are in LSB of the samples. The noise model is one for simulation and ranging alike
     (`cw.signal`). What a camera's maker does not say is named *open* below.
@@ -32,6 +32,10 @@ class CwCamera:
 
     modulation_hz: Positive = 17e6
     """Modulation frequency; the unambiguous range is c / (2 f) (Steinbäck 2016, eq 2.4)."""
+    modulations_hz: tuple[Positive, ...] = ()
+    """Several modulation frequencies of one frame, in order of capture (S-EFF-08); none: `modulation_hz` alone."""
+    phase_steps_deg: tuple[PhaseStep, ...] = (0, 90, 180, 270)
+    """Phase steps of the reference signal at which samples are taken; three or more."""
     phase_sign: Literal[1, -1] = 1
     """1 if the phase of atan2(C270 - C90, C0 - C180) grows with the range, -1 if it falls."""
     offset_m: float = 0.0
@@ -49,6 +53,9 @@ class CwCamera:
     (N-S-052)."""
     shot_noise_lsb2_per_lsb: NonNegative = 0.01
     """Variance per LSB of collected light: one over the electrons per LSB; *open*: 100 electrons per LSB."""
+    binning: PositiveInt = 1
+    """Each sample is the mean of binning x binning pixels of the sensor, which alone have the noise said here: two make
+    half of it (N-S-042)."""
     demodulation_contrast: Annotated[float, Interval(gt=0, le=1)] = 0.8
     """Amplitude of the samples over the mean active light collected with them; *open*: typical of the pixel."""
     ambient_lsb: NonNegative = 0.0
@@ -73,8 +80,8 @@ class CwCamera:
     """Exposure of one phase image (simulation); amplitudes grow with it."""
     readout_time_s: NonNegative = 1.23e-3
     """Pause after each phase image (simulation); measured, not explained by the pixel clock (E-S-14)."""
-    capture_order: tuple[PhaseStep, PhaseStep, PhaseStep, PhaseStep] = (0, 180, 90, 270)
-    """Phase steps in the order of their exposure (simulation): PS registers 0000 0888 0444 0CCC (E-S-13)."""
+    capture_order: tuple[PhaseStep, ...] = ()
+    """Phase steps in the order of their exposure (simulation); none: as `phase_steps_deg` lists them."""
     reference_amplitude_lsb: Positive = 145.0
     """Amplitude in the image centre of a white plane 1 m before the camera, lit for 2 ms (simulation; Steinbäck 2016,
     A.5)."""

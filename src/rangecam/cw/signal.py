@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from rangecam.cw.settings import CwCamera, PhaseStep
+from rangecam.cw.settings import CwCamera
 from rangecam.geometry import rays
 from rangecam.optics import natural_vignetting
 from rangecam.scene.view import View
@@ -22,11 +22,15 @@ def metres_per_radian(camera: CwCamera) -> float:
 
 
 def sample_variance(light_lsb: Floats | float, camera: CwCamera) -> Floats:
-    """Return the variance, LSB2, of a sample for which `light_lsb` was collected, before rounding."""
-    return np.asarray(camera.read_noise_lsb**2 + camera.shot_noise_lsb2_per_lsb * np.asarray(light_lsb))
+    """Return the variance, LSB2, of a sample for which `light_lsb` was collected, before rounding.
+
+    A sample is the mean of `binning` squared pixels, whose noise is independent (N-S-042).
+    """
+    of_one = camera.read_noise_lsb**2 + camera.shot_noise_lsb2_per_lsb * np.asarray(light_lsb)
+    return np.asarray(of_one / camera.binning**2)
 
 
-def correlate(view: View, camera: CwCamera, step: PhaseStep) -> tuple[Floats, Floats]:
+def correlate(view: View, camera: CwCamera, step: float) -> tuple[Floats, Floats]:
     """Return the mean sample and the light collected for it, each (H, W) float32 in LSB, at one phase step.
 
     The sample is black level + amplitude cos(phase + step), with which atan2(C270 - C90, C0 - C180) is +phase
