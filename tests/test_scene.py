@@ -336,7 +336,7 @@ def test_an_unknown_scenario_is_refused_with_the_nearest_name_and_all_names():
     [
         ("description = ", "scenario 'mine': not a TOML file"),
         ('description = ""\npreset = ""\nduration_s = -1', "duration_s = -1"),
-        ('description = ""\npreset = ""\nduration_s = 1\nweather = "fog"', "unknown setting 'weather'"),
+        ('description = ""\npreset = ""\nduration_s = 1\nclimate = "fog"', "unknown setting 'climate'"),
         (
             'description = ""\npreset = ""\nduration_s = 1\n[[objects]]\nname = "a"\n'
             "path.waypoints = [{ time_s = 2.0, position_m = [0, 0, 0] }, { time_s = 1.0, position_m = [0, 0, 0] }]",

@@ -8,9 +8,10 @@ import numpy as np
 from rangecam import cw, processed, pulsed
 from rangecam.config import Config
 from rangecam.processed import ProcessedCamera
-from rangecam.scene.render import ego_at, ray_bundle, render, truth
+from rangecam.scene.render import RayBundle, ego_at, ray_bundle, render, truth
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.view import View
+from rangecam.scene.weather import in_weather, precipitation
 from rangecam.types import Capture, RawFrame
 
 
@@ -38,11 +39,30 @@ def frames(scenario: Scenario, config: Config, seed: int = 0) -> Iterator[Captur
     rate_hz = scenario.frame_rate_hz or camera.frame_rate_hz
     for k in range(max(1, round(scenario.duration_s * rate_hz))):
         time_s = k / rate_hz
-        raw = SIMULATE[camera.kind](
-            lambda at_s: render(scenario, at_s, bundle), camera, time_s, np.random.default_rng([seed, k])
-        )
+        looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, k, 1]))
+        raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, k]))
         yield Capture(
             replace(raw, frame_id=k),
             ego_at(scenario.ego, time_s),
             truth(scenario, time_s, camera.lens, config.mounting, shape),
         )
+
+
+def look(
+    scenario: Scenario, config: Config, bundle: RayBundle, time_s: float, rng: np.random.Generator
+) -> Callable[[float], View]:
+    """Return what the camera sees of the scenario through its weather, as a function of the time near `time_s`.
+
+    The field of drops is drawn anew for `time_s`, and falls from there on.
+    """
+    weather = scenario.weather
+    if not (weather.rain_mm_per_h or weather.snow_mm_per_h or weather.drops):
+        return lambda at_s: render(scenario, at_s, bundle)
+    camera, mounting = config.camera, config.mounting
+    speed_mps = ego_at(scenario.ego, time_s).speed_mps or 0.0
+    falling = precipitation(weather, camera.lens, mounting, (camera.rows, camera.columns), rng, speed_mps)
+
+    def seen(at_s: float) -> View:
+        return in_weather(render(scenario, at_s, bundle), falling, weather, camera.lens, mounting, at_s - time_s)
+
+    return seen

@@ -7,6 +7,7 @@ from rangecam.config import parse
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.scene.paths import EgoMotion, motion
 from rangecam.scene.shapes import SceneObject
+from rangecam.scene.weather import Weather
 from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
 
 
@@ -30,6 +31,8 @@ class Scenario:
     """Irradiance of everything by ambient light in the camera's band, W/m2."""
     ground_reflectivity: Fraction | None = None
     """Reflectivity of the ground at z = 0; none: no ground."""
+    weather: Weather = Weather()
+    """Rain, snow and single drops before the camera."""
     ego: EgoMotion = EgoMotion()
     """How the own vehicle drives."""
     objects: tuple[SceneObject, ...] = ()
