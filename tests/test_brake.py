@@ -54,6 +54,9 @@ def tracks_of(*rows: dict[str, float]) -> Tracks:
         segment=np.arange(1, n + 1),
         class_probability=np.eye(4)[column["class"].astype(int)],
         nis=np.ones(n),
+        mode_probability=np.ones((n, 0)),
+        mode_state=np.ones((n, 0, 9)),
+        mode_covariance=np.ones((n, 0, 9, 9)),
         time_s=2.5,
         next_id=n + 1,
     )

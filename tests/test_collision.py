@@ -30,6 +30,9 @@ def one_track(state: object, covariance: object = 1e-8, size: object = NO_SIZE, 
         "segment": np.array([1]),
         "class_probability": np.array([[1.0, 0.0, 0.0, 0.0]]),
         "nis": np.array([1.0]),
+        "mode_probability": np.ones((1, 0)),
+        "mode_state": np.ones((1, 0, 9)),
+        "mode_covariance": np.ones((1, 0, 9, 9)),
     }
     return Tracks(**fields, time_s=1.0, next_id=8)  # type: ignore[arg-type]
 

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rangecam.motion import MOTION, MotionSettings, constant_acceleration, singer, wiener_acceleration
+from rangecam.motion import (
+    MOTION,
+    MotionSettings,
+    constant_acceleration,
+    constant_velocity,
+    mode_switching,
+    singer,
+    wiener_acceleration,
+)
 
 CONTINUOUS = ["constant_acceleration", "singer"]
 
@@ -40,7 +48,7 @@ def test_the_thesis_q_has_the_printed_digits_and_rank_one(dt: float, digits: lis
     assert np.linalg.matrix_rank(Q) == 1
 
 
-@pytest.mark.parametrize("name", sorted(MOTION))
+@pytest.mark.parametrize("name", sorted(set(MOTION) - {"constant_velocity"}))
 def test_f_moves_a_constant_acceleration_as_school_physics_does(name: str) -> None:
     F, _ = MOTION[name](0.1, MotionSettings(memory_s=1e6))
     np.testing.assert_allclose(F @ [2.0, -3.0, 4.0], [2 - 0.3 + 0.02, -3 + 0.4, 4.0], rtol=1e-6)
@@ -108,6 +116,7 @@ def test_each_noise_setting_scales_q_of_its_models_with_its_square() -> None:
         ("constant_acceleration", "drift_mps2"),
         ("singer", "drift_mps2"),
         ("wiener_acceleration", "step_mps2"),
+        ("constant_velocity", "velocity_drift_mps"),
     ):
         (_, one), (_, three) = (MOTION[name](0.1, MotionSettings(**{key: value})) for value in (1.0, 3.0))
         np.testing.assert_allclose(three, 9 * one, rtol=1e-12)
@@ -115,3 +124,21 @@ def test_each_noise_setting_scales_q_of_its_models_with_its_square() -> None:
 
 def test_every_model_can_be_chosen_by_name() -> None:
     assert set(typing.get_args(typing.get_type_hints(MotionSettings)["model"])) == set(MOTION)
+
+
+def test_constant_velocity_forgets_the_acceleration_and_is_the_integral_of_a_drifting_velocity() -> None:
+    F, Q = constant_velocity(0.2, MotionSettings(velocity_drift_mps=3.0))
+    np.testing.assert_allclose(F @ [2.0, -3.0, 4.0], [2 - 0.6, -3, 0])
+    np.testing.assert_allclose(Q[:2, :2], 9 * np.array([[0.2**3 / 3, 0.2**2 / 2], [0.2**2 / 2, 0.2]]))
+    assert not Q[2].any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_switching_of_two_short_frames_is_that_of_a_long_one_and_leaves_a_mode_at_the_stated_rate(
+    count: int,
+) -> None:
+    one, two, both = (mode_switching(dt, count, 1.5) for dt in (0.03, 0.2, 0.23))
+    np.testing.assert_allclose(one @ two, both, rtol=1e-12)
+    np.testing.assert_allclose(both.sum(axis=1), 1)
+    kept = mode_switching(1e-6, count, 1.5)[0, 0]
+    assert (1 - kept) / 1e-6 == pytest.approx(1 / 1.5 if count > 1 else 0.0, rel=1e-5)

@@ -9,10 +9,11 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2
+from scipy.linalg import expm
+from scipy.stats import chi2, multivariate_normal
 
 from rangecam.errors import DataError
-from rangecam.motion import MOTION, MotionSettings
+from rangecam.motion import MOTION, Mode, MotionSettings, mode_switching
 from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR
 from rangecam.tracking.filter import take_only_candidates
@@ -117,6 +118,110 @@ def test_twenty_tracks_with_correlated_noise_are_those_of_the_textbook(model: st
         np.testing.assert_allclose(tracks.state, x, rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(tracks.covariance, P, rtol=1e-8, atol=1e-10)
         np.testing.assert_allclose(tracks.nis, nis, rtol=1e-8)
+
+
+MODES = MotionSettings(
+    modes=(
+        Mode(model="constant_velocity", velocity_drift_mps=0.3),
+        Mode(model="constant_acceleration", drift_mps2=5.0),
+        Mode(model="singer", drift_mps2=20.0, memory_s=0.4),
+    ),
+    mode_memory_s=0.8,
+    vertical_share=0.2,
+)
+
+
+def interacting_reference(
+    tracks: Tracks, z: np.ndarray, R: np.ndarray, dt: float, motion: MotionSettings
+) -> tuple[np.ndarray, ...]:
+    """Plain NumPy step of one track by Blom and Bar-Shalom (1988): probability, state and covariance of each mode."""
+    mu, x, P = tracks.mode_probability[0], tracks.mode_state[0], tracks.mode_covariance[0]
+    count = len(mu)
+    switching = expm(
+        dt / motion.mode_memory_s * (np.ones((count, count)) / (count - 1) - np.eye(count) * count / (count - 1))
+    )
+    predicted = mu @ switching
+    new_x, new_p, likelihood = np.empty_like(x), np.empty_like(P), np.empty(count)
+    for k, mode in enumerate(motion.modes):
+        weight = mu * switching[:, k] / predicted[k]
+        start = weight @ x
+        spread = sum(w * (p + np.outer(e - start, e - start)) for w, p, e in zip(weight, P, x, strict=True))
+        F, Q = MOTION[mode.model](dt, mode)
+        F, Q = np.kron(np.eye(3), F), np.kron(np.diag([1, 1, motion.vertical_share**2]), Q)
+        m, C = F @ start, F @ spread @ F.T + Q
+        S = H @ C @ H.T + R
+        K = C @ H.T @ np.linalg.inv(S)
+        new_x[k], new_p[k] = m + K @ (z - H @ m), C - K @ S @ K.T
+        likelihood[k] = multivariate_normal(H @ m, S).pdf(z)
+    mu = predicted * likelihood
+    return mu / mu.sum(), new_x, new_p
+
+
+def test_the_interacting_model_is_that_of_the_textbook(rng: np.random.Generator) -> None:
+    settings = dataclasses.replace(PLAIN, motion=MODES)
+    tracks = update_tracks(Tracks.empty(), seen([9.0, 1.0, 0.5]), 0.0, settings)
+    for k in range(1, 30):
+        z = np.array([9 - 0.2 * k + 0.004 * max(k - 10, 0) ** 2, 1.0, 0.5]) + rng.normal(0, 0.03, 3)
+        B = rng.normal(0, 0.03, (3, 3))
+        R = B @ B.T + 1e-3 * np.eye(3)
+        mu, x, P = interacting_reference(tracks, z, R, 0.03, MODES)
+        tracks = update_tracks(tracks, seen(z, R), 0.03 * k, settings)
+        np.testing.assert_allclose(tracks.mode_probability[0], mu, rtol=1e-7, atol=1e-12)
+        np.testing.assert_allclose(tracks.mode_state[0], x, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(tracks.mode_covariance[0], P, rtol=0, atol=1e-9)
+        mean = mu @ x
+        np.testing.assert_allclose(tracks.state[0], mean, rtol=0, atol=1e-9)
+        apart = np.einsum("k,ka,kb->ab", mu, x - mean, x - mean)
+        np.testing.assert_allclose(tracks.covariance[0], np.tensordot(mu, P, 1) + apart, rtol=0, atol=1e-9)
+    assert not np.allclose(mu, 1 / 3, atol=0.1)
+
+
+def test_modes_that_are_all_alike_are_the_one_model(rng: np.random.Generator) -> None:
+    frames = [seen(np.array([5 - 0.1 * k, 1.0, 0.5]) + rng.normal(0, 0.02, 3)) for k in range(20)]
+    alike = dataclasses.replace(PLAIN, motion=MotionSettings(modes=(Mode(), Mode())))
+    for one, both in zip(follow(frames), follow(frames, alike), strict=True):
+        np.testing.assert_allclose(both.state, one.state, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(both.covariance, one.covariance, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(both.nis, one.nis, rtol=1e-7)
+        np.testing.assert_allclose(both.mode_probability, 0.5)
+
+
+def test_without_a_measurement_only_the_switching_moves_the_probabilities_of_the_modes() -> None:
+    settings = dataclasses.replace(PLAIN, motion=MODES)
+    frames = [seen([9 - 0.2 * k + 0.01 * k**2, 1.0, 0.5]) for k in range(15)]
+    before = follow(frames, settings)[-1]
+    missed = update_tracks(before, NOTHING, before.time_s + 0.1, settings)
+    expected = before.mode_probability @ mode_switching(0.1, 3, MODES.mode_memory_s)
+    np.testing.assert_allclose(missed.mode_probability, expected, rtol=1e-12)
+    assert abs(before.mode_probability - expected).max() > 1e-3
+
+
+def test_tracks_of_one_model_can_be_carried_on_with_several() -> None:
+    one = follow(still(10))[-1]
+    settings = dataclasses.replace(PLAIN, motion=MODES)
+    several = update_tracks(one, still(1)[0], one.time_s + 0.02, settings)
+    assert several.mode_state.shape == (1, 3, 9)
+    assert np.isfinite(several.mode_covariance).all()
+
+
+def test_competing_tracks_with_several_modes_keep_their_identities(rng: np.random.Generator) -> None:
+    settings = dataclasses.replace(PLAIN, motion=MODES, gate_probability=0.9999)
+    pair = np.array([[8.0, 0.2, 1.0], [8.0, -0.2, 1.0]])
+    frames = [seen(pair + rng.normal(0, 0.05, (2, 3)), 0.01) for _ in range(30)]
+    last = follow(frames, settings)[-1]
+    assert last.track_id.tolist() == [1, 2]
+    np.testing.assert_allclose(last.state[:, 3], [0.2, -0.2], atol=0.1)
+
+
+def test_the_vertical_share_scales_noise_and_first_guess_of_the_vertical_axis_alone() -> None:
+    plain, flat = (
+        update_tracks(follow(still(1), settings)[-1], NOTHING, 0.1, settings)
+        for settings in (PLAIN, dataclasses.replace(PLAIN, motion=MotionSettings(vertical_share=0.1)))
+    )
+    np.testing.assert_array_equal(flat.covariance[0, :6, :6], plain.covariance[0, :6, :6])
+    R = 0.01
+    expected = 0.01 * (plain.covariance[0, 6:, 6:] - np.diag([R, 0, 0])) + np.diag([R, 0, 0])
+    np.testing.assert_allclose(flat.covariance[0, 6:, 6:], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("variance", [1e-10, 1e-4, 1.0])

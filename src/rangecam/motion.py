@@ -16,12 +16,17 @@ from rangecam.types import Floats
 
 
 @settings
-class MotionSettings:
-    """How objects are expected to move."""
+class Mode:
+    """One way in which objects are expected to move."""
 
-    model: Literal["constant_acceleration", "wiener_acceleration", "singer"] = "constant_acceleration"
-    """constant_acceleration: the acceleration drifts (white jerk); wiener_acceleration: it takes one random step a
-    frame (the thesis); singer: it drifts and dies away."""
+    model: Literal["constant_velocity", "constant_acceleration", "wiener_acceleration", "singer"] = (
+        "constant_acceleration"
+    )
+    """constant_velocity: the velocity drifts; constant_acceleration: the acceleration drifts (white jerk);
+    wiener_acceleration: it takes one random step a frame (the thesis); singer: it drifts and dies away."""
+    velocity_drift_mps: NonNegative = 1.0
+    """Standard deviation by which the velocity drifts within one second; its square is the spectral density of the
+    acceleration, m2/s3. For constant_velocity."""
     drift_mps2: NonNegative = 3.0
     """Standard deviation by which the acceleration drifts within one second; its square is the spectral density of
     the jerk, m2/s5. For constant_acceleration and singer."""
@@ -32,7 +37,34 @@ class MotionSettings:
     """Time after which 63 % of an acceleration has died away. For singer."""
 
 
-def constant_acceleration(dt_s: float, settings: MotionSettings) -> Floats:
+@settings
+class MotionSettings(Mode):
+    """How objects are expected to move."""
+
+    modes: tuple[Mode, ...] = ()
+    """An interacting multiple model (K-FUT-09) of these, in place of the one model above; empty: that one."""
+    mode_memory_s: Positive = 1.5
+    """How long an object keeps to one of `modes` on the average before it changes to another."""
+    vertical_share: NonNegative = 1.0
+    """Vertical motion as a share of horizontal motion: of its drift or step, and of what a new object may have of speed
+    and acceleration. Small for whatever stands on the ground; 1 where the camera itself flies."""
+
+
+def constant_velocity(dt_s: float, settings: Mode) -> Floats:
+    """Return (2, 3, 3): F and Q of each axis, for a velocity that drifts as a Wiener process, without acceleration."""
+    model = np.zeros((2, 3, 3))
+    _constant_velocity(dt_s, settings.velocity_drift_mps**2, model)
+    return model
+
+
+@njit(cache=True, nogil=True)
+def _constant_velocity(T: float, q: float, model: Floats) -> None:
+    F, Q = model[0], model[1]
+    _transition(F, T, 0.0, 0.0, 0.0)
+    Q[0, 0], Q[0, 1], Q[1, 0], Q[1, 1] = q * T**3 / 3, q * T**2 / 2, q * T**2 / 2, q * T
+
+
+def constant_acceleration(dt_s: float, settings: Mode) -> Floats:
     """Return (2, 3, 3): F and Q of each axis, for an acceleration that drifts as a Wiener process (white jerk).
 
     F is König 2008, eq 6.18, with the true time between the frames. Q is the integral of the jerk over that time, so
@@ -60,7 +92,7 @@ def _transition(F: Floats, T: float, a_to_x: float, a_to_v: float, a_to_a: float
     F[2, 0], F[2, 1], F[2, 2] = 0.0, 0.0, a_to_a
 
 
-def wiener_acceleration(dt_s: float, settings: MotionSettings) -> Floats:
+def wiener_acceleration(dt_s: float, settings: Mode) -> Floats:
     """Return (2, 3, 3): F and Q of each axis, of König 2008, eq 6.18 and 6.33: the acceleration steps in each frame.
 
     The step is as large whether the frame was long or short, so sigma_w belongs to a frame rate; in a gap the
@@ -81,7 +113,7 @@ def _wiener_acceleration(T: float, variance: float, model: Floats) -> None:
             Q[a, b] = variance * gamma[a] * gamma[b]  # eq 6.32
 
 
-def singer(dt_s: float, settings: MotionSettings) -> Floats:
+def singer(dt_s: float, settings: Mode) -> Floats:
     """Return (2, 3, 3): F and Q of each axis, for an acceleration that drifts and dies away (Singer 1970).
 
     da/dt = -a / memory_s + jerk. For long memories this is `constant_acceleration`, for short ones constant velocity.
@@ -116,9 +148,22 @@ def _response(t: float, rate: float) -> tuple[float, float, float]:
     return to_x / rate**2, to_v / rate, math.exp(-u)
 
 
-MOTION: dict[str, Callable[[float, MotionSettings], Floats]] = {
+MOTION: dict[str, Callable[[float, Mode], Floats]] = {
+    "constant_velocity": constant_velocity,
     "constant_acceleration": constant_acceleration,
     "wiener_acceleration": wiener_acceleration,
     "singer": singer,
 }
 """Motion models by name: (seconds between the frames, settings) -> F, Q of one axis."""
+
+
+def mode_switching(dt_s: float, count: int, memory_s: float) -> Floats:
+    """Return (K, K): the probability that an object in mode j is in mode k after `dt_s`.
+
+    A Markov chain in continuous time that leaves a mode after `memory_s` on the average, for any other alike; so a gap
+    of two frames is exactly two frames (the fixed matrix that is usual would hold for one frame rate only).
+    """
+    if count == 1:
+        return np.ones((1, 1))
+    kept = math.exp(-dt_s / memory_s * count / (count - 1))
+    return kept * np.eye(count) + (1 - kept) / count

@@ -242,6 +242,8 @@ class Tracks(Rows):
     class_probability (N, 4): over `CLASSES`.
     time_s: time of the last frame, NaN before the first. next_id: the next new track's number.
     nis (N,): normalised innovation squared of the last update (3 degrees of freedom), NaN where there was none.
+    mode_probability (N, K), mode_state (N, K, 9), mode_covariance (N, K, 9, 9): the K modes of an interacting multiple
+        model, of which state and covariance are the mean; K = 0 where one motion model does.
     """
 
     track_id: Ints
@@ -257,6 +259,9 @@ class Tracks(Rows):
     segment: Ints
     class_probability: Floats
     nis: Floats
+    mode_probability: Floats
+    mode_state: Floats
+    mode_covariance: Floats
     time_s: float = float("nan")
     next_id: int = 1
 
@@ -278,6 +283,9 @@ class Tracks(Rows):
             segment=i0,
             class_probability=np.zeros((0, len(CLASSES))),
             nis=n0,
+            mode_probability=np.zeros((0, 0)),
+            mode_state=np.zeros((0, 0, 9)),
+            mode_covariance=np.zeros((0, 0, 9, 9)),
         )
 
     def __getitem__(self, i: int) -> Track:

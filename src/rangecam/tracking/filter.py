@@ -54,8 +54,8 @@ def advance(
 
     Given one by one, as a tuple of arrays costs a call more than what is done with them: nine fields of the tracks,
     six of the segments, F and Q of one axis (2, 3, 3), and `rules`: largest squared Mahalanobis distance, variance of
-    every position, of the centroid as a share of the squared size, of the time, weight of new shapes, confirm_hits,
-    confirm_frames, max_misses, largest variance of a position.
+    every position, of the centroid as a share of the squared size, of the time, weight of new shapes, share of the
+    vertical Q, confirm_hits, confirm_frames, max_misses, largest variance of a position.
 
     Written: x (N, 9), P (N, 9, 9); counts (5, N): status, age, hits, misses, label of the segment; means (3, N):
     near_offset, n_pixels, NIS; new_shape (N, 3); took (N,): index of the segment, -1 for none. Where tracks or segments
@@ -65,7 +65,7 @@ def advance(
     R = np.empty_like(position_covariance)
     measured = position, R, time_variance
     complete(position_covariance, size, common, extent, R)
-    _predict(state, covariance, model, x, P)
+    _predict(state, covariance, model, rules[5], x, P)
     if not associated:
         _gate(x, P, measured, gate, cost)
         if not take_only_candidates(cost, took):
@@ -73,8 +73,118 @@ def advance(
     _update(x, P, took, measured, means[2])
     seen, new = (label, position, size, near, pixels), (counts[4], new_shape, means[0], means[1])
     _reshape(took, (shape, near_offset, n_pixels), seen, weight, new)
-    ended = _count(took, (status, age, hits, misses), P, rules[5:], counts)
+    ended = _count(took, (status, age, hits, misses), P, rules[6:], counts)
     return ended, left_over(took, position, R, np.empty_like(label))
+
+
+@njit(cache=True, nogil=True)
+def advance_modes(
+    old: tuple[Floats, Floats, Floats, Ints, Ints, Ints, Ints, Floats, Floats, Floats],
+    seen: Seen,
+    motion: tuple[Floats, Floats],
+    rules: Floats,
+    new: tuple[Floats, Floats, Floats, Floats, Floats, Ints, Floats, Floats],
+    cost: Floats,
+    took: Ints,
+    associated: bool,
+) -> tuple[int, int]:
+    """Do what `advance` does for an interacting multiple model (Blom and Bar-Shalom 1988; K-FUT-09).
+
+    old: mode_probability (N, K), mode_state (N, K, 9), mode_covariance (N, K, 9, 9), then status, age, hits, misses,
+    size, near_offset, n_pixels; motion: F and Q of each mode (K, 2, 3, 3), probabilities of switching (K, K). Written,
+    in `new`: the modes as in `old`, x and P, which are their mean, counts, means and new_shape.
+    """
+    position, size = seen[1], seen[3]
+    mu, modes, spreads, x, P, counts, means, new_shape = new
+    R = np.empty_like(seen[2])
+    measured = position, R, rules[3]
+    complete(seen[2], size, rules[1], rules[2], R)
+    _mix((old[0], old[1], old[2]), motion[1], (mu, modes, spreads))
+    for k in range(mu.shape[1]):
+        _predict(modes[:, k].copy(), spreads[:, k].copy(), motion[0][k], rules[5], modes[:, k], spreads[:, k])
+    _moments(mu, modes, spreads, x, P)
+    if not associated:
+        _gate(x, P, measured, rules[0], cost)
+        if not take_only_candidates(cost, took):
+            return CONTESTED, 0
+    _update_modes((mu, modes, spreads), (x, P), took, measured, means[2])
+    shapes = (seen[0], position, size, seen[4], seen[5]), (counts[4], new_shape, means[0], means[1])
+    _reshape(took, (old[7], old[8], old[9]), shapes[0], rules[4], shapes[1])
+    ended = _count(took, (old[3], old[4], old[5], old[6]), P, rules[6:], counts)
+    return ended, left_over(took, position, R, np.empty_like(seen[0]))
+
+
+@njit(cache=True, nogil=True)
+def _mix(old: tuple[Floats, Floats, Floats], switching: Floats, new: tuple[Floats, Floats, Floats]) -> None:
+    """Write the predicted probability of each mode, and what it starts from: the mean over where it may come from."""
+    n, K = old[0].shape
+    share = np.empty((1, K))
+    for i in range(n):
+        for k in range(K):
+            total = 0.0
+            for j in range(K):
+                share[0, j] = old[0][i, j] * switching[j, k]
+                total += share[0, j]
+            new[0][i, k] = total
+            for j in range(K):
+                share[0, j] /= total
+            _moments(share, old[1][i : i + 1], old[2][i : i + 1], new[1][i : i + 1, k], new[2][i : i + 1, k])
+
+
+@njit(cache=True, nogil=True)
+def _moments(mu: Floats, modes: Floats, spreads: Floats, x: Floats, P: Floats) -> None:
+    """Write mean and covariance of the mixture: each mode's own covariance, and how far its mean is from the mean."""
+    n, K = mu.shape
+    for i in range(n):
+        for a in range(9):
+            x[i, a] = 0.0
+            for k in range(K):
+                x[i, a] += mu[i, k] * modes[i, k, a]
+        for a in range(9):
+            for b in range(a, 9):
+                total = 0.0
+                for k in range(K):
+                    apart = (modes[i, k, a] - x[i, a]) * (modes[i, k, b] - x[i, b])
+                    total += mu[i, k] * (spreads[i, k, a, b] + apart)
+                P[i, a, b] = total
+                P[i, b, a] = total
+
+
+@njit(cache=True, nogil=True)
+def _update_modes(
+    predicted: tuple[Floats, Floats, Floats],
+    mean: tuple[Floats, Floats],
+    took: Ints,
+    measured: tuple[Floats, Floats, float],
+    nis: Floats,
+) -> None:
+    """Update every mode of the tracks that took a segment, its probability by its likelihood, and their mean.
+
+    Without a measurement the probabilities stay as the switching left them: nothing was seen that speaks for a mode.
+    """
+    (mu, modes, spreads), (x, P) = predicted, mean
+    S, V = np.empty((3, 3)), np.empty((3, 3))
+    likelihood = np.empty(mu.shape[1])
+    for i in range(took.size):
+        nis[i] = np.nan
+        if took[i] < 0:
+            continue
+        z, R = measured[0][took[i]], measured[1][took[i]]
+        _innovation_covariance(x[i], P[i], R, measured[2], S)
+        _invert(S, V)
+        nis[i] = _squared_distance(x[i], V, z)
+        for k in range(mu.shape[1]):
+            squared, determinant = _correct(modes[i, k], spreads[i, k], z, R, measured[2])
+            likelihood[k] = -0.5 * (squared + math.log(determinant))
+        likelihood = np.exp(likelihood - likelihood.max()) * mu[i]
+        for k in range(mu.shape[1]):
+            mu[i, k] = max(likelihood[k] / likelihood.sum(), _LEAST_PROBABLE)
+        mu[i] /= mu[i].sum()
+        _moments(mu[i : i + 1], modes[i : i + 1], spreads[i : i + 1], x[i : i + 1], P[i : i + 1])
+
+
+_LEAST_PROBABLE = 1e-9
+"""No mode is ever ruled out: its probability could not grow again."""
 
 
 @njit(cache=True, nogil=True)
@@ -88,14 +198,18 @@ def complete(covariance: Floats, size: Floats, common: float, extent: float, R: 
 
 
 @njit(cache=True, nogil=True)
-def _predict(state: Floats, covariance: Floats, model: Floats, x: Floats, P: Floats) -> None:
-    """Write F x and F P F' + Q (König 2008, fig 6.8) into x and P, block by block; all of F is upper triangular."""
+def _predict(state: Floats, covariance: Floats, model: Floats, vertical: float, x: Floats, P: Floats) -> None:
+    """Write F x and F P F' + Q (König 2008, fig 6.8) into x and P, block by block; all of F is upper triangular.
+
+    vertical: share of Q that the vertical axis has.
+    """
     F, Q = model[0], model[1]
     t, f, r = F[0, 1], F[0, 2], F[1, 2]
     d = F[2, 2]
     for i in range(state.shape[0]):
         for a in (0, 3, 6):
             x[i, a] = state[i, a] + t * state[i, a + 1] + f * state[i, a + 2]
+            share = vertical if a == 6 else 1.0
             x[i, a + 1] = state[i, a + 1] + r * state[i, a + 2]
             x[i, a + 2] = d * state[i, a + 2]
             for b in range(a, 9, 3):
@@ -107,7 +221,7 @@ def _predict(state: Floats, covariance: Floats, model: Floats, x: Floats, P: Flo
                     P[i, c, b], P[i, c, b + 1], P[i, c, b + 2] = p0 + t * p1 + f * p2, p1 + r * p2, d * p2
             for b in range(3):
                 for c in range(3):
-                    P[i, a + b, a + c] += Q[b, c]
+                    P[i, a + b, a + c] += share * Q[b, c]
         for a in range(9):
             for b in range(a):
                 P[i, a, b] = P[i, b, a]
@@ -187,25 +301,29 @@ def _update(state: Floats, covariance: Floats, took: Ints, measured: tuple[Float
 
     took (N,): index of the segment, -1 for none; measured: positions, R, variance of the time.
     """
-    S, V, W, K = np.empty((3, 3)), np.empty((3, 3)), np.empty((9, 3)), np.empty((9, 3))
     for i in range(took.size):
-        nis[i] = np.nan
-        if took[i] < 0:
-            continue
-        x, P, z = state[i], covariance[i], measured[0][took[i]]
-        _innovation_covariance(x, P, measured[1][took[i]], measured[2], S)
-        _invert(S, V)
-        nis[i] = _squared_distance(x, V, z)
-        u, v, w = z[0] - x[0], z[1] - x[3], z[2] - x[6]
-        for a in range(9):
-            W[a, 0], W[a, 1], W[a, 2] = P[a, 0], P[a, 3], P[a, 6]  # P H'
-            for b in range(3):
-                K[a, b] = W[a, 0] * V[0, b] + W[a, 1] * V[1, b] + W[a, 2] * V[2, b]
-        for a in range(9):
-            x[a] += K[a, 0] * u + K[a, 1] * v + K[a, 2] * w
-            for b in range(a, 9):  # P - K S K', symmetric by construction
-                P[a, b] -= K[a, 0] * W[b, 0] + K[a, 1] * W[b, 1] + K[a, 2] * W[b, 2]
-                P[b, a] = P[a, b]
+        j = took[i]
+        nis[i] = _correct(state[i], covariance[i], measured[0][j], measured[1][j], measured[2])[0] if j >= 0 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _correct(x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float) -> tuple[float, float]:
+    """Update one state by one measurement in place; return the squared distance of the two and det S."""
+    S, V, W, K = np.empty((3, 3)), np.empty((3, 3)), np.empty((9, 3)), np.empty((9, 3))
+    _innovation_covariance(x, P, R, time_variance, S)
+    determinant = _invert(S, V)
+    squared = _squared_distance(x, V, z)
+    u, v, w = z[0] - x[0], z[1] - x[3], z[2] - x[6]
+    for a in range(9):
+        W[a, 0], W[a, 1], W[a, 2] = P[a, 0], P[a, 3], P[a, 6]  # P H'
+        for b in range(3):
+            K[a, b] = W[a, 0] * V[0, b] + W[a, 1] * V[1, b] + W[a, 2] * V[2, b]
+    for a in range(9):
+        x[a] += K[a, 0] * u + K[a, 1] * v + K[a, 2] * w
+        for b in range(a, 9):  # P - K S K', symmetric by construction
+            P[a, b] -= K[a, 0] * W[b, 0] + K[a, 1] * W[b, 1] + K[a, 2] * W[b, 2]
+            P[b, a] = P[a, b]
+    return squared, determinant
 
 
 @njit(cache=True, nogil=True)

@@ -27,10 +27,11 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
     complete(covariance, size, settings.position_sigma_m**2, settings.extent_sigma**2, R)
     first = first[: left_over(took, position, R, first)]
     position = position[first]
-    n = len(first)
+    n, count = len(first), len(settings.motion.modes)
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))
     state[:, ::3] = position  # as `POSITION`, but a slice is quicker than a list
     P[:, range(9), range(9)] = (0.0, settings.speed_sigma_mps**2, settings.acceleration_sigma_mps2**2) * 3
+    P[:, 6:] *= settings.motion.vertical_share**2
     P[:, ::3, ::3] = R[first]
     unknown[:, CLASSES.index("unknown")] = 1.0
     once = np.ones(n, int)
@@ -49,6 +50,9 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
         segment=label[first],
         class_probability=unknown,
         nis=np.full(n, math.nan),
+        mode_probability=np.full((n, count), 1 / max(count, 1)),
+        mode_state=np.repeat(state[:, None], count, axis=1),
+        mode_covariance=np.repeat(P[:, None], count, axis=1),
         time_s=tracks.time_s,
         next_id=tracks.next_id + n,
     )

@@ -3,14 +3,15 @@
 import dataclasses
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from rangecam.errors import DataError
-from rangecam.motion import MOTION
+from rangecam.motion import MOTION, mode_switching
 from rangecam.tracking.association import ASSOCIATION
-from rangecam.tracking.filter import CONTESTED, Seen, advance
+from rangecam.tracking.filter import CONTESTED, Seen, advance, advance_modes
 from rangecam.tracking.life import delete, initiate
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.types import Floats, Ints, Segments, Tracks
@@ -36,20 +37,21 @@ def update_tracks(tracks: Tracks, segments: Segments, time_s: float, settings: T
         tracks, dt_s = dataclasses.replace(Tracks.empty(), next_id=tracks.next_id), 0.0
     elif dt_s < 0:
         return tracks
-    seen, model = _seen_in(segments), MOTION[settings.motion.model](dt_s, settings.motion)
-    tracks, took, ended, left = _follow(tracks, seen, model, time_s, settings)
+    seen, follow = _seen_in(segments), _follow_modes if settings.motion.modes else _follow
+    tracks, took, ended, left = follow(tracks, seen, dt_s, time_s, settings)
     if ended:
         tracks = delete(tracks)
     return initiate(tracks, seen, took, settings) if left else tracks
 
 
 def _follow(
-    tracks: Tracks, seen: Seen, model: Floats, time_s: float, settings: TrackingSettings
+    tracks: Tracks, seen: Seen, dt_s: float, time_s: float, settings: TrackingSettings
 ) -> tuple[Tracks, Ints, int, int]:
     """Return the tracks at `time_s`, the segment that each took, how many have ended, how many segments are left over.
 
-    model (2, 3, 3): F and Q of one axis. Ended tracks are still there, with the status `GONE`.
+    Ended tracks are still there, with the status `GONE`.
     """
+    model = MOTION[settings.motion.model](dt_s, settings.motion)
     n, m = tracks.age.size, seen[0].size
     x, P, shape, cost = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((n, 3)), np.empty((n, m))
     counts, means, took = np.empty((5, n), int), np.empty((3, n)), np.empty(n, int)
@@ -64,7 +66,47 @@ def _follow(
     if ended == CONTESTED:
         took[:] = ASSOCIATION[settings.association](cost, tracks.age)
         ended, left = advance(*given, True)
-    followed = Tracks(
+    no_modes = np.empty((n, 0)), np.empty((n, 0, 9)), np.empty((n, 0, 9, 9))
+    return _followed(tracks, (*no_modes, x, P, counts, means, shape), time_s), took, ended, left
+
+
+def _follow_modes(
+    tracks: Tracks, seen: Seen, dt_s: float, time_s: float, settings: TrackingSettings
+) -> tuple[Tracks, Ints, int, int]:
+    """Do what `_follow` does with several motion models at once."""
+    motion, n, m = settings.motion, tracks.age.size, seen[0].size
+    count = len(motion.modes)
+    models = np.stack([MOTION[mode.model](dt_s, mode) for mode in motion.modes])
+    modes = _modes_of(tracks, count)
+    life = tracks.status, tracks.age, tracks.hits, tracks.misses, tracks.size_m, tracks.near_offset_m, tracks.n_pixels
+    new = *(np.empty_like(each) for each in modes), np.empty((n, 9)), np.empty((n, 9, 9))
+    written = *new, np.empty((5, n), int), np.empty((3, n)), np.empty((n, 3))
+    cost, took = np.empty((n, m)), np.empty(n, int)
+    switching = mode_switching(dt_s, count, motion.mode_memory_s)
+    given = (*modes, *life), seen, (models, switching), _constants(settings), written, cost, took
+    ended, left = advance_modes(*given, False)
+    if ended == CONTESTED:
+        took[:] = ASSOCIATION[settings.association](cost, tracks.age)
+        ended, left = advance_modes(*given, True)
+    return _followed(tracks, written, time_s), took, ended, left
+
+
+def _modes_of(tracks: Tracks, count: int) -> tuple[Floats, Floats, Floats]:
+    """Return probability, state and covariance of each mode; new tracks, which have none, start alike in all."""
+    if tracks.mode_probability.shape == (tracks.age.size, count):
+        return tracks.mode_probability, tracks.mode_state, tracks.mode_covariance
+    n = tracks.age.size
+    return (
+        np.full((n, count), 1 / count),
+        np.repeat(tracks.state[:, None], count, axis=1),
+        np.repeat(tracks.covariance[:, None], count, axis=1),
+    )
+
+
+def _followed(tracks: Tracks, written: tuple[Any, ...], time_s: float) -> Tracks:
+    """Return the tracks with what the kernels have written."""
+    mode_probability, mode_state, mode_covariance, x, P, counts, means, shape = written
+    return Tracks(
         track_id=tracks.track_id,
         status=counts[0],
         state=x,
@@ -78,10 +120,12 @@ def _follow(
         segment=counts[4],
         class_probability=tracks.class_probability,
         nis=means[2],
+        mode_probability=mode_probability,
+        mode_state=mode_state,
+        mode_covariance=mode_covariance,
         time_s=time_s,
         next_id=tracks.next_id,
     )
-    return followed, took, ended, left
 
 
 def _seen_in(segments: Segments) -> Seen:
@@ -101,7 +145,8 @@ def _constants(settings: TrackingSettings) -> Floats:
     """Return what `advance` is told by the settings, once for all frames."""
     noise = settings.position_sigma_m**2, settings.extent_sigma**2, settings.frame_time_sigma_s**2
     life = settings.confirm_hits, settings.confirm_frames, settings.max_misses, settings.max_position_sigma_m**2
-    return np.array([gate_threshold(settings.gate_probability), *noise, settings.shape_weight, *life])
+    shares = settings.shape_weight, settings.motion.vertical_share**2
+    return np.array([gate_threshold(settings.gate_probability), *noise, *shares, *life])
 
 
 def gate_threshold(probability: float) -> float:
