@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from rangecam.config import load_config, parse
 from rangecam.cw import RANGING, CwCamera, simulate
+from rangecam.cw.light import correlate
 from rangecam.cw.ranging import PLANES, cw_four_phase
 from rangecam.cw.sequence import exposure_times_s
-from rangecam.cw.signal import correlate, metres_per_radian, reference_amplitude, sample_variance
+from rangecam.cw.signal import metres_per_radian, reference_amplitude, sample_variance
 from rangecam.errors import DataError, UsageError
 from rangecam.geometry import Lens, rays
 from rangecam.scene.view import View

@@ -7,8 +7,9 @@ import pytest
 
 from rangecam.config import load_config
 from rangecam.cw import simulate
+from rangecam.cw.light import correlate
 from rangecam.cw.sequence import exposure_times_s, exposures, fastest_frame_rate_hz, plane_names
-from rangecam.cw.signal import correlate, metres_per_radian, sample_variance
+from rangecam.cw.signal import metres_per_radian, sample_variance
 from rangecam.errors import UsageError
 from rangecam.scene.view import View
 

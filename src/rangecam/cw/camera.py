@@ -4,9 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rangecam.cw.sequence import exposure_times_s, exposures, fastest_frame_rate_hz, plane_names
+from rangecam.cw.light import collect
+from rangecam.cw.link import transfer
+from rangecam.cw.pixel import respond
+from rangecam.cw.sequence import Exposure, exposure_times_s, exposures, fastest_frame_rate_hz, plane_names
 from rangecam.cw.settings import CwCamera
-from rangecam.cw.signal import correlate, sample_variance
+from rangecam.cw.signal import sample_variance
 from rangecam.errors import UsageError
 from rangecam.scene.view import View
 from rangecam.types import Floats, Image, RawFrame
@@ -16,9 +19,11 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     """Return the raw frame of the scene `view(time)` whose exposure sequence has its middle at `time_s`.
 
     Each phase image is exposed at its own time (Steinbäck 2016, fig 4.7), so that moving edges show motion artefacts;
-    motion within one exposure is not modelled. Noise is Gaussian with `sample_variance`; then rounding and limits of
-    the converter. The planes are uint16 where the converter's limits and step allow, else float32.
-    Raises UsageError if `cw.sequence.exposures` does, or if the camera cannot be that fast.
+    with several `exposure_samples` what moves within one exposure is blurred. Noise is Gaussian with `sample_variance`;
+    then rounding and limits of the converter, and the way over the interface. The planes are uint16 where the
+    converter's limits and step allow, else float32. Noise is drawn first and is the same whatever imperfection is on.
+    Raises UsageError if `cw.sequence.exposures` does, if the camera cannot be that fast, if the region of interest
+    leaves the image, or for bit errors in samples that are not whole numbers.
     """
     fastest_hz = fastest_frame_rate_hz(camera)
     if camera.frame_rate_hz > fastest_hz:
@@ -27,16 +32,35 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
             f"no more than {fastest_hz:.4g} Hz; shorten illumination_time_s"
         )
     planes: dict[str, Image] = {}
-    for exposure, at_s in zip(exposures(camera), exposure_times_s(camera, time_s), strict=True):
-        mean, light = correlate(view(at_s), exposure.camera, exposure.step_deg)
-        noise = rng.standard_normal(mean.shape, np.float32) * np.sqrt(sample_variance(light, camera))
-        planes[exposure.plane] = _convert(mean + noise, camera)
-    return RawFrame(time_s, {name: planes[name] for name in plane_names(camera)})
+    seen = _seen_at(view, time_s) if camera.freeze_motion else view
+    for exposure, middle_s in zip(exposures(camera), exposure_times_s(camera, time_s), strict=True):
+        sample, light = respond(_expose(seen, exposure, middle_s), exposure.camera)
+        noise = rng.standard_normal(sample.shape, np.float32) * np.sqrt(sample_variance(light, camera))
+        planes[exposure.plane] = _read_out(sample + noise, camera)
+    bits = int(camera.full_scale_lsb or 0).bit_length()
+    return RawFrame(time_s, {name: transfer(planes[name], camera.link, bits, rng) for name in plane_names(camera)})
 
 
-def _convert(samples: Floats, camera: CwCamera) -> Image:
-    """Return samples as the converter gives them: rounded to its step and kept within its limits."""
+def _seen_at(view: Callable[[float], View], time_s: float) -> Callable[[float], View]:
+    still = view(time_s)
+    return lambda _: still
+
+
+def _expose(view: Callable[[float], View], exposure: Exposure, middle_s: float) -> Floats:
+    """Return the light (2, H, W) of one exposure: the mean of its moments, which divide it evenly."""
+    camera, count = exposure.camera, exposure.camera.exposure_samples
+    times_s = [middle_s + camera.illumination_time_s * ((k + 0.5) / count - 0.5) for k in range(count)]
+    light = collect(view(times_s[0]), camera, exposure.step_deg, times_s[0])
+    for at_s in times_s[1:]:
+        light += collect(view(at_s), camera, exposure.step_deg, at_s)
+    return light / np.float32(count) if count > 1 else light
+
+
+def _read_out(samples: Floats, camera: CwCamera) -> Image:
+    """Return samples as the converter gives them: rounded to its step and kept within its limits, where it reads."""
     step, low, high = camera.quantisation_lsb, camera.lower_limit_lsb, camera.full_scale_lsb
+    if camera.region_of_interest is not None:
+        samples = _only_read(samples, camera.region_of_interest, camera.black_level_lsb)
     if step > 0:
         samples = np.round(samples / step) * step
     if low is not None:
@@ -46,3 +70,17 @@ def _convert(samples: Floats, camera: CwCamera) -> Image:
     samples[: camera.pseudo_rows] = 0
     whole = step >= 1 and step == int(step) and low is not None and low >= 0 and high is not None and high <= 65535
     return samples.astype(np.uint16 if whole else np.float32)
+
+
+def _only_read(samples: Floats, region: tuple[int, int, int, int], unread_lsb: float) -> Floats:
+    row, column, rows, columns = region
+    height, width = samples.shape
+    if row + rows > height or column + columns > width:
+        raise UsageError(
+            f"camera.region_of_interest = {list(region)}: first row and column, rows and columns must lie within the "
+            f"image of {height} rows and {width} columns"
+        )
+    inside = (slice(row, row + rows), slice(column, column + columns))
+    result = np.full_like(samples, unread_lsb)
+    result[inside] = samples[inside]
+    return result

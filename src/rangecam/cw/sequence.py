@@ -62,14 +62,20 @@ def plane_names(camera: CwCamera) -> tuple[str, ...]:
 
 def exposure_times_s(camera: CwCamera, time_s: float) -> list[float]:
     """Return the middle of each exposure, in order of capture, of the sequence centred on `time_s` (S-PIF-02)."""
-    period_s = camera.illumination_time_s + camera.readout_time_s
+    period_s = camera.illumination_time_s + readout_time_s(camera)
     count = len(exposures(camera))
     return [time_s + (k - (count - 1) / 2) * period_s for k in range(count)]
 
 
 def fastest_frame_rate_hz(camera: CwCamera) -> float:
     """Return the rate at which frames follow each other without a pause (Steinbäck 2016, fig 4.7; N-S-019)."""
-    return 1 / (len(exposures(camera)) * (camera.illumination_time_s + camera.readout_time_s))
+    return 1 / (len(exposures(camera)) * (camera.illumination_time_s + readout_time_s(camera)))
+
+
+def readout_time_s(camera: CwCamera) -> float:
+    """Return the pause after each exposure, in proportion to the rows that are read out."""
+    read = camera.rows if camera.region_of_interest is None else camera.region_of_interest[2]
+    return camera.readout_time_s * read / camera.rows
 
 
 def _listed(values: tuple[float, ...]) -> str:

@@ -4,10 +4,13 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
+from rangecam.cw.effects import FixedPattern, Interference, Link, Multipath, Scattering, Taps, Temperature, Waveform
+from rangecam.cw.emulation import Emulation
 from rangecam.geometry import Lens
 from rangecam.settings import NonNegative, NonNegativeInt, Positive, PositiveInt, settings
 from rangecam.types import SPEED_OF_LIGHT
 
+Register = tuple[str | int, int]
 PhaseStep = Annotated[float, Interval(ge=0, lt=360)]
 
 
@@ -38,6 +41,9 @@ class CwCamera:
     """Phase steps of the reference signal at which samples are taken; three or more."""
     phase_sign: Literal[1, -1] = 1
     """1 if the phase of atan2(C270 - C90, C0 - C180) grows with the range, -1 if it falls."""
+    calibration: str = ""
+    """File with settings and images of each pixel (`rangecam.calibration`), read when a source is opened; empty: none.
+    A recording holds the calibration that it was made with."""
     offset_m: float = 0.0
     """Added to every range, then wrapped into the unambiguous range; minus d_global of Steinbäck 2016, eq 3.13."""
     speed_of_light_mps: Positive = SPEED_OF_LIGHT
@@ -92,3 +98,28 @@ class CwCamera:
     ambient_lsb_per_wpm2: NonNegative = 60.0
     """Light level of a white surface by 1 W/m2 of ambient light in the camera's band, 2 ms (simulation); *open*: 3.4 W
     of the camera's own light over 80 x 60 degrees make the level of the reference."""
+
+    waveform: Waveform = Waveform()
+    taps: Taps = Taps()
+    fixed_pattern: FixedPattern = FixedPattern()
+    temperature: Temperature = Temperature()
+    scattering: Scattering = Scattering()
+    multipath: Multipath = Multipath()
+    interference: Interference = Interference()
+    link: Link = Link()
+    mixed_pixels: bool = True
+    """All rays of a pixel count (simulation); false: the middle one alone, so that no pixel mixes two surfaces."""
+    freeze_motion: bool = False
+    """All exposures of a frame see the scene at the time of the frame (simulation)."""
+    exposure_samples: PositiveInt = 1
+    """Moments within each exposure at which the scene is looked at (simulation); more than one blur what moves."""
+    region_of_interest: tuple[NonNegativeInt, NonNegativeInt, PositiveInt, PositiveInt] | None = None
+    """First row, first column, rows and columns that are read out (simulation), in less time if there are fewer rows;
+    the others keep `black_level_lsb`. None: the whole image."""
+
+    registers: tuple[Register, ...] | str = ()
+    """Writes to the sensor's registers, made when the configuration has been put together, after every other setting:
+    pairs of a register (name or address) and its 16-bit value, or the transfers on the bus as hexadecimal text. What
+    they set stands in the other settings afterwards, and this is empty (`cw.registers`, S-CAM-01)."""
+    emulation: Emulation = Emulation()
+    """The program of the microcontroller, for the ranging method `cw_emulation`."""
