@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -79,15 +79,23 @@ def _follow_modes(
     models = np.stack([MOTION[mode.model](dt_s, mode) for mode in motion.modes])
     modes = _modes_of(tracks, count)
     life = tracks.status, tracks.age, tracks.hits, tracks.misses, tracks.size_m, tracks.near_offset_m, tracks.n_pixels
-    new = *(np.empty_like(each) for each in modes), np.empty((n, 9)), np.empty((n, 9, 9))
-    written = *new, np.empty((5, n), int), np.empty((3, n)), np.empty((n, 3))
+    mu, states, spreads = (np.empty_like(each) for each in modes)
+    x, P, counts, means, shape = (
+        np.empty((n, 9)),
+        np.empty((n, 9, 9)),
+        np.empty((5, n), int),
+        np.empty((3, n)),
+        np.empty((n, 3)),
+    )
+    written = mu, states, spreads, x, P, counts, means, shape
     cost, took = np.empty((n, m)), np.empty(n, int)
     switching = mode_switching(dt_s, count, motion.mode_memory_s)
-    given = (*modes, *life), seen, (models, switching), _constants(settings), written, cost, took
-    ended, left = advance_modes(*given, False)
+    old, rules = (*modes, *life), _constants(settings)
+    step = partial(advance_modes, old, seen, (models, switching), rules, written, cost, took)
+    ended, left = step(False)
     if ended == CONTESTED:
         took[:] = ASSOCIATION[settings.association](cost, tracks.age)
-        ended, left = advance_modes(*given, True)
+        ended, left = step(True)
     return _followed(tracks, written, time_s), took, ended, left
 
 
