@@ -6,12 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rangecam import cw
 from rangecam.calibration import (
     Calibration,
+    Line,
     attach,
+    check_made_for,
     estimate_dark,
+    fit_curve,
     fit_range,
     load_calibration,
+    mean_plane,
     save_calibration,
 )
 from rangecam.errors import DataError, UsageError
@@ -47,13 +52,20 @@ def dark_frames(camera, count, steps=STEPS):
 
 def unit_line(camera):
     shape = (camera.rows, camera.columns)
-    return np.ones(shape), np.zeros(shape)
+    return Line(np.ones(shape), np.zeros(shape))
+
+
+def calibration_of(camera, line, dark=None, method="mdsi3", **more):
+    planes = {"range_slope": line[0], "range_intercept_m": line[1]}
+    stepped = {name.replace("shutter_", "offset_"): stack for name, stack in (dark or {}).items()}
+    return Calibration(made_for(camera, method), {}, {}, planes, np.array(STEPS), stepped, **more)
 
 
 @pytest.fixture(scope="module")
 def offsets():
-    accumulations, dark = estimate_dark(dark_frames(CAMERA, 60))
-    return Calibration(made_for(CAMERA, "mdsi3"), accumulations, dark, *unit_line(CAMERA))
+    accumulations, dark, _ = estimate_dark(dark_frames(CAMERA, 60), "shutter_")
+    assert accumulations.tolist() == list(STEPS)
+    return calibration_of(CAMERA, unit_line(CAMERA), dark)
 
 
 # --- offset ------------------------------------------------------------------------------------------------------
@@ -116,13 +128,21 @@ SOFT = replace(
 ASSUMED = {"pulse_width_s": 250e-9, "laser_delay_s": 52e-9}
 
 
-def biases_m(camera, line, assumed):
-    """Bias of every pixel (6, 4, 8) at ranges between those of the calibration, from many frames."""
+BETWEEN_M = (2.0, 4.0, 8.0, 13.0, 17.0, 20.0)
+SHORT = replace(SOFT, pulse_width_s=180e-9, shutter_a_width_s=230e-9, laser_delay_s=27e-9)
+
+
+def planes_of(camera, known_m, assumed, method="mdsi3", seed=4):
     known = replace(camera, **assumed)
-    dark = {name: np.zeros((5, 4, 8)) for name in ("shutter_a", "shutter_b")}
-    calibration = Calibration(made_for(camera, "mdsi3"), np.array(STEPS), dark, *line)
+    return [mean_plane([RANGING[method](shoot(r, camera, [seed, i]), known) for i in range(5)], r) for r in known_m]
+
+
+def biases_m(camera, line, assumed, curve=()):
+    """Bias of every pixel (6, 4, 8) at ranges between those of the calibration, from many frames."""
+    known = replace(camera, **assumed, range_curve_m=curve)
+    calibration = calibration_of(camera, line)
     biases = []
-    for range_m in (2.0, 4.0, 8.0, 13.0, 17.0, 20.0):
+    for range_m in BETWEEN_M:
         frames = [attach(shoot(range_m, camera, [3, i]), calibration) for i in range(5)]
         images = [RANGING["mdsi3"](frame, known) for frame in frames]
         assert all(image.valid.all() for image in images)
@@ -130,31 +150,44 @@ def biases_m(camera, line, assumed):
     return np.array(biases)
 
 
-def lines(camera, assumed):
-    known = replace(camera, **assumed)
-    images = [RANGING["mdsi3"](shoot(r, camera, [4, i]), known) for r in KNOWN_M for i in range(5)]
-    return fit_range(images, [r for r in KNOWN_M for _ in range(5)])
-
-
 def test_distance_calibration_leaves_less_than_a_centimetre_with_soft_edges():
     """K-CAL-03: 2 to 20 m off 50 %, where the line of the quotient is straight."""
-    before = biases_m(SOFT, (np.ones((4, 8)), np.zeros((4, 8))), ASSUMED)
-    after = biases_m(SOFT, lines(SOFT, ASSUMED), ASSUMED)
+    before = biases_m(SOFT, unit_line(SOFT), ASSUMED)
+    after = biases_m(SOFT, fit_range(planes_of(SOFT, KNOWN_M, ASSUMED)), ASSUMED)
     assert np.abs(before).max() > 0.5
     assert np.abs(after).max() < 0.01
 
 
 def test_a_line_cannot_straighten_a_pulse_that_is_too_short_for_its_edges():
     """With the thesis' pulse of 180 ns, 126 ns are straight within 5 mV of 1 V (N-K-048): decimetres are left."""
-    short = replace(SOFT, pulse_width_s=180e-9, shutter_a_width_s=230e-9, laser_delay_s=27e-9)
-    assert np.abs(biases_m(short, lines(short, {}), {})).max() > 0.1
+    assert np.abs(biases_m(SHORT, fit_range(planes_of(SHORT, KNOWN_M, {})), {})).max() > 0.1
+
+
+@pytest.mark.parametrize("assumed", [{}, {"pulse_width_s": 174e-9, "laser_delay_s": 25e-9}])
+def test_a_curve_straightens_the_pulse_of_the_thesis_to_less_than_a_centimetre(assumed):
+    """K-CAL-03 with the 180 ns and the soft edges of the thesis, 2 to 20 m off 50 %."""
+    planes = planes_of(SHORT, np.arange(2.0, 21.5), assumed)
+    curve = fit_curve(planes)
+    after = biases_m(SHORT, fit_range(planes, curve), assumed, curve)
+    assert np.abs(after).max() < 0.01
+
+
+def test_sigma_is_that_of_the_curve():
+    """The spread of the ranges of 100 images is what sigma_m says, where the curve is steep and where it is not."""
+    camera = replace(SHORT, frame_rate_hz=25.0, averages=1)
+    planes = planes_of(SHORT, np.arange(2.0, 21.5), {})
+    known = replace(camera, range_curve_m=fit_curve(planes))
+    for range_m in (3.0, 10.0, 20.0):
+        images = [RANGING["mdsi3"](shoot(range_m, camera, [5, i]), known) for i in range(100)]
+        spread = np.std([image.range_m for image in images], axis=0)
+        assert np.median(spread / images[0].sigma_m) == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_line_of_the_ideal_quotient_is_that_of_the_thesis():
     """N-K-051: slope -0.03704 1/m and intercept 1 of U_a / (U_a + U_b), from slope and intercept of the range."""
     ideal = replace(SOFT, pulse_rise_s=0.0, pulse_fall_s=0.0, shutter_edge_s=0.0, pulse_width_s=180e-9,
                     shutter_a_width_s=None, shutter_b_width_s=None, laser_delay_s=0.0)  # fmt: skip
-    slope, intercept_m = lines(ideal, {})
+    slope, intercept_m = fit_range(planes_of(ideal, KNOWN_M, {}))
     np.testing.assert_allclose(-1 / slope / 27.0, -0.03704, rtol=5e-3)
     np.testing.assert_allclose(1 + intercept_m / slope / 27.0, 1.0, atol=2e-3)
 
@@ -165,11 +198,26 @@ def image_of(range_m, valid=True, sigma_m=0.1):
     return RangeImage(0.0, plane, np.full((1, 2), sigma_m, np.float32), plane, why)
 
 
+def targets(images, known_m):
+    return [mean_plane([image], known) for image, known in zip(images, known_m, strict=True)]
+
+
 def test_the_fit_weighs_what_it_sees_and_leaves_invalid_pixels_out():
     images = [image_of(2.0), image_of(4.5), image_of(7.0), image_of(30.0, valid=False, sigma_m=1e6)]
-    slope, intercept_m = fit_range(images, [1.0, 2.0, 3.0, 4.0])
+    slope, intercept_m = fit_range(targets(images, [1.0, 2.0, 3.0, 4.0])[:3])
     np.testing.assert_allclose(slope, 0.4, rtol=1e-6)
     np.testing.assert_allclose(intercept_m, 0.2, atol=1e-6)
+    with_bad = fit_range(targets(images, [1.0, 2.0, 3.0, 4.0]))
+    assert with_bad.slope[0, 1] == pytest.approx(0.4, rel=1e-6)
+
+
+def test_a_pixel_that_is_mostly_invalid_counts_nothing():
+    """Which of its values are missing depends on their noise."""
+    good, bad = image_of(2.0), image_of(2.0, valid=False)
+    assert (mean_plane([good, bad], 1.0).weight > 0).all()
+    assert mean_plane([good, bad, bad], 1.0).weight.tolist() == [[pytest.approx(300.0), 0.0]]
+    with pytest.raises(DataError, match="no images of the target"):
+        mean_plane([], 1.0)
 
 
 @pytest.mark.parametrize(
@@ -182,7 +230,49 @@ def test_the_fit_weighs_what_it_sees_and_leaves_invalid_pixels_out():
 )
 def test_a_pixel_without_a_line_is_named(images, known_m):
     with pytest.raises(DataError, match="pixels, the first in row 0, column"):
-        fit_range(images, known_m)
+        fit_range(targets(images, known_m))
+
+
+def bent(slope_of, known_m):
+    return targets([image_of(slope_of(r)) for r in known_m], known_m)
+
+
+def test_a_curve_inverts_a_smooth_measured_range():
+    """A cubic is followed exactly, wherever the planes stand."""
+    known = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0])
+    curve = np.array(fit_curve(bent(lambda r: r + 0.01 * (r - 8) ** 2 - 0.001 * (r - 8) ** 3, known)))
+    measured, true = curve[1:-1].T
+    np.testing.assert_allclose(measured, true + 0.01 * (true - 8) ** 2 - 0.001 * (true - 8) ** 3, atol=1e-5)
+    assert true[[0, -1]].tolist() == [1.0, 16.0]
+    assert curve[[0, -1], 1].tolist() == [0.5, 18.5]  # straight on, half the way to the next plane
+    slope = 1 + 0.02 * (16 - 8) - 0.003 * (16 - 8) ** 2
+    assert (curve[-1, 0] - measured[-1]) / 2.5 == pytest.approx(slope, abs=1e-4)
+
+
+def test_a_curve_ends_where_the_measured_range_stops_growing():
+    """Where the pulse lies within one window the quotient says nothing."""
+    known = np.arange(1.0, 21.0)
+    curve = np.array(fit_curve(bent(lambda r: np.log1p(np.exp(r - 8)), known)))
+    assert curve[0, 1] == pytest.approx(8 - np.log(4), abs=0.2)  # where the slope is 0.2
+    assert curve[-1, 1] == 20.5
+    with pytest.raises(DataError, match=r"does not grow by 0\.2 m"):
+        fit_curve(bent(lambda r: 5.0 - 0.1 * r, known))
+    with pytest.raises(DataError, match="a curve needs at least 4"):
+        fit_curve(bent(lambda r: r, known[:3]))
+
+
+def test_ranges_beyond_the_curve_and_beyond_the_limits_are_marked():
+    curve = ((1.0, 2.0), (5.0, 6.0), (9.0, 14.0))
+    camera = replace(CAMERA, pixel=Pixel(), range_curve_m=curve, offset_m=0.25, min_range_m=3.5, max_range_m=10.5)
+    got = {r: RANGING["mdsi3"](shoot(r, camera, 1), camera) for r in (0.9, 2.0, 4.0, 7.0, 8.0, 9.5)}
+    assert {r: int(np.bincount(image.why.ravel()).argmax()) for r, image in got.items()} == {
+        0.9: Why.SATURATED, 2.0: Why.OUT_OF_RANGE, 4.0: 0, 7.0: 0, 8.0: Why.OUT_OF_RANGE, 9.5: Why.OUT_OF_RANGE
+    }  # fmt: skip
+    assert np.median(got[4.0].range_m) == pytest.approx(5.25, abs=0.03)
+    assert np.median(got[7.0].range_m) == pytest.approx(10.0 + 0.25, abs=0.1)
+    for wrong in (((1.0, 2.0),), ((1.0, 2.0), (1.0, 3.0)), ((1.0, 2.0), (2.0, 1.0))):
+        with pytest.raises(UsageError, match="range_curve_m: needs two or more points"):
+            RANGING["mdsi3"](shoot(4.0, camera, 1), replace(camera, range_curve_m=wrong))
 
 
 def test_slope_and_intercept_change_range_and_sigma_of_every_method():
@@ -193,7 +283,7 @@ def test_slope_and_intercept_change_range_and_sigma_of_every_method():
         camera = replace(CAMERA, shutters=taken, rows=2, columns=3, frame_rate_hz=1.0, pixel=Pixel())
         raw = shoot(9.0, camera, 1)
         image = RANGING[method](raw, camera)
-        line = Calibration({}, np.array(STEPS), {}, slope, intercept_m)
+        line = calibration_of(camera, Line(slope, intercept_m))
         got = RANGING[method](attach(raw, line), camera)
         np.testing.assert_allclose(got.range_m, 1.25 * image.range_m - 0.5, rtol=1e-6)
         np.testing.assert_allclose(got.sigma_m, 1.25 * image.sigma_m, rtol=1e-6)
@@ -210,18 +300,19 @@ def frame(n_acc, **planes):
 def test_frames_that_are_no_dark_frames_are_refused():
     plane = np.zeros((1, 2))
     with pytest.raises(DataError, match="no dark frames"):
-        estimate_dark([])
-    with pytest.raises(DataError, match="needs n_acc and shutter"):
-        estimate_dark([RawFrame(0.0, {"shutter_a": plane})])
-    with pytest.raises(DataError, match="needs n_acc and shutter"):
-        estimate_dark([frame([[1, 1]])])
+        estimate_dark([], "shutter_")
+    with pytest.raises(DataError, match=r"needs shutter_\* planes"):
+        estimate_dark([frame([[1, 1]])], "shutter_")
+    with pytest.raises(DataError, match=r"needs shutter_a planes of the same shape"):
+        estimate_dark([frame([[1, 1]], shutter_a=plane), frame([[1]], shutter_a=plane[:, :1])], "shutter_")
     with pytest.raises(DataError, match="n_acc = 1, 4"):
-        estimate_dark([frame([[1, 4]], shutter_a=plane)])
+        estimate_dark([frame([[1, 4]], shutter_a=plane)], "shutter_")
+    assert estimate_dark([RawFrame(0.0, {"phase_0": plane})], "phase_")[0].tolist() == [1]
 
 
 def test_frames_that_the_calibration_does_not_fit_are_refused():
-    dark = {"shutter_a": np.zeros((2, 1, 2))}
-    calibration = Calibration({}, np.array([1, 16]), dark, np.ones((1, 2)), np.zeros((1, 2)))
+    planes = {"range_slope": np.ones((1, 2))}
+    calibration = Calibration({}, {}, {}, planes, np.array([1, 16]), {"offset_a": np.zeros((2, 1, 2))})
     with pytest.raises(DataError, match=r"shape \(1, 3\)"):
         attach(frame([[1, 1, 1]]), calibration)
     with pytest.raises(DataError, match="no dark image for n_acc = 4; it has 1, 16"):
@@ -234,7 +325,7 @@ def test_frames_that_the_calibration_does_not_fit_are_refused():
 
 def test_a_calibration_plane_of_another_shape_is_named():
     camera = replace(CAMERA, rows=1, columns=2)
-    raw = attach(shoot(9.0, camera, 1), Calibration({}, np.array(STEPS), {}, *unit_line(camera)))
+    raw = attach(shoot(9.0, camera, 1), calibration_of(camera, unit_line(camera)))
     for name in ("offset_a", "range_intercept_m"):
         with pytest.raises(DataError, match=f"'{name}' has shape"):
             RANGING["mdsi3"](replace(raw, planes={**raw.planes, name: np.zeros((3, 3))}), camera)
@@ -249,19 +340,22 @@ def test_a_calibration_plane_of_another_shape_is_named():
 @pytest.fixture
 def saved(tmp_path, offsets):
     path = tmp_path / "camera.npz"
-    save_calibration(path, offsets)
+    settings, taken = {"range_curve_m": [[1.0, 1.1], [20.0, 20.5]], "pixel": {"damping": 0.02}}, {"temperature_c": 31.0}
+    save_calibration(path, replace(offsets, settings=settings, taken=taken))
     return path
 
 
 def test_a_calibration_survives_its_file(saved, offsets):
     """K-CAL-05."""
-    loaded = load_calibration(saved, made_for(CAMERA, "mdsi3"))
+    loaded = load_calibration(saved)
+    check_made_for(saved, loaded, made_for(CAMERA, "mdsi3"))
+    assert loaded.settings == {"range_curve_m": [[1.0, 1.1], [20.0, 20.5]], "pixel": {"damping": 0.02}}
+    assert loaded.taken == {"temperature_c": 31.0}
     np.testing.assert_array_equal(loaded.accumulations, offsets.accumulations)
-    np.testing.assert_array_equal(loaded.slope, offsets.slope)
-    np.testing.assert_array_equal(loaded.intercept_m, offsets.intercept_m)
-    assert set(loaded.dark) == {"shutter_a", "shutter_b"}
-    for name, dark in offsets.dark.items():
-        np.testing.assert_array_equal(loaded.dark[name], dark)
+    assert loaded.names == {"offset_a", "offset_b", "range_slope", "range_intercept_m"}
+    for kind in ("planes", "stepped"):
+        for name, image in getattr(offsets, kind).items():
+            np.testing.assert_array_equal(getattr(loaded, kind)[name], image)
     assert [p.name for p in saved.parent.iterdir()] == ["camera.npz"]
 
 
@@ -276,21 +370,23 @@ def test_a_calibration_survives_its_file(saved, offsets):
 )
 def test_a_calibration_of_another_camera_is_refused_by_what_differs(saved, change, method, named):
     with pytest.raises(UsageError, match=named):
-        load_calibration(saved, made_for(replace(CAMERA, **change), method))
+        check_made_for(saved, load_calibration(saved), made_for(replace(CAMERA, **change), method))
 
 
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"format": 2}, "format 2; this version reads 1"),
+        ({"format": 1}, "format 1; this version reads 2"),
         ({"format": None}, "not a calibration"),
         ({"made_for": "{"}, "not a calibration"),
-        ({"accumulations": None}, "accumulations missing"),
+        ({"settings": None}, "not a calibration"),
+        ({"taken": "[1]"}, r"taken holds \[1\]; it must be a table"),
         ({"accumulations": np.array([4, 1, 16, 64, 100])}, "increasing whole numbers"),
-        ({"accumulations": np.array([1, 4])}, "dark_shutter_a has shape"),
-        ({"range_intercept_m": np.zeros((2, 2))}, "range_intercept_m has shape"),
-        ({"range_slope": np.full((8, 64), np.nan)}, "range_slope must hold finite numbers"),
-        ({"range_slope": np.zeros((8, 64))}, "range_slope must be above 0"),
+        ({"accumulations": np.array([1, 4])}, "offset_a has shape"),
+        ({"accumulations": None}, "offset_a has shape"),
+        ({"plane_range_intercept_m": np.zeros((2, 2))}, "range_intercept_m has shape"),
+        ({"plane_range_slope": np.full((8, 64), np.nan)}, "range_slope must hold finite numbers"),
+        ({"plane_range_slope": np.zeros((8, 64), int)}, "range_slope must hold finite numbers"),
     ],
 )
 def test_a_file_at_fault_is_named_with_its_fault(saved, change, named):
@@ -299,38 +395,106 @@ def test_a_file_at_fault_is_named_with_its_fault(saved, change, named):
     arrays = {key: value for key, value in {**arrays, **change}.items() if value is not None}
     np.savez(saved, **arrays)
     with pytest.raises(DataError, match=named):
-        load_calibration(saved, made_for(CAMERA, "mdsi3"))
+        load_calibration(saved)
 
 
 def test_what_is_no_file_or_no_archive_is_refused(tmp_path):
-    facts = made_for(CAMERA, "mdsi3")
     with pytest.raises(UsageError, match="no such file"):
-        load_calibration(tmp_path / "none.npz", facts)
-    (tmp_path / "text.npz").write_text(json.dumps(facts))
+        load_calibration(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text(json.dumps({}))
     with pytest.raises(DataError, match="not a NumPy archive"):
-        load_calibration(tmp_path / "text.npz", facts)
+        load_calibration(tmp_path / "text.npz")
 
 
 # --- through the source ------------------------------------------------------------------------------------------
 
+SCENE, CW_SCENE = "scenario:approach-box", "scenario:approach-box"
 
-def test_a_source_carries_the_calibration_of_its_camera_and_a_recording_keeps_it(tmp_path):
-    path, target = tmp_path / "camera.npz", tmp_path / "run.mcap"
-    camera = open_source("scenario:approach-box", preset="usercams").config.camera
+
+def first(url, *layers):
+    source = open_source(url, layers=layers)
+    return source, next(iter(source.captures)).raw
+
+
+@pytest.fixture
+def made(tmp_path):
+    """A calibration of the camera of the scene with offsets, a line, a curve and a noise parameter."""
+    path = tmp_path / "camera.npz"
+    camera = open_source(SCENE, preset="usercams").config.camera
     dark = {name: np.full((5, 8, 64), 0.01) for name in ("shutter_a", "shutter_b")}
-    slope, intercept_m = np.ones((8, 64)), np.full((8, 64), 0.5)
-    save_calibration(path, Calibration(made_for(camera, "mdsi3"), np.array(STEPS), dark, slope, intercept_m))
-    setting = {"camera": {"calibration": str(path)}}
-    source = open_source("scenario:approach-box", preset="usercams", layers=[setting])
-    capture = next(iter(source.captures))
-    assert capture.raw.planes["offset_b"] == pytest.approx(0.01)
+    calibration = calibration_of(camera, Line(np.ones((8, 64)), np.full((8, 64), 0.5)), dark)
+    settings = {"range_curve_m": [[0.0, 0.0], [30.0, 30.0]], "pixel": {"sensor_noise_v": 0.5e-3}}
+    save_calibration(path, replace(calibration, settings=settings, taken={"temperature_c": 12.0}))
+    return path, {"preset": "usercams", "camera": {"calibration": str(path)}}
+
+
+def test_a_source_carries_the_calibration_of_its_camera_and_a_recording_keeps_it(tmp_path, made):
+    (path, layer), target = made, tmp_path / "run.mcap"
+    source, raw = first(SCENE, layer)
+    assert raw.planes["offset_b"] == pytest.approx(0.01)
+    assert source.config.camera.range_curve_m == ((0.0, 0.0), (30.0, 30.0))
+    assert source.config.camera.pixel.sensor_noise_v == 0.5e-3
+    assert source.config.camera.pixel.damping == 0.0153
     with Recorder(target, source.config, source.name) as recorder:
-        recorder.write(capture)
+        recorder.write(next(iter(source.captures)))
     path.unlink()
-    replayed = next(iter(open_source(target).captures)).raw
-    for name, plane in capture.raw.planes.items():
+    replay, replayed = first(target)
+    assert replay.config == source.config
+    for name, plane in raw.planes.items():
         np.testing.assert_array_equal(replayed.planes[name], plane)
-    bare = next(iter(open_source("scenario:approach-box", preset="usercams").captures)).raw
-    assert "range_slope" not in bare.planes
+    assert "range_slope" not in first(SCENE, {"preset": "usercams"})[1].planes
     with pytest.raises(UsageError, match="no such file"):
-        open_source("scenario:approach-box", preset="usercams", layers=[setting])
+        open_source(SCENE, layers=[layer])
+
+
+def test_settings_of_a_calibration_lie_over_the_preset_and_under_those_of_the_user(made):
+    _, layer = made
+    source, _ = first(SCENE, layer, {"camera": {"pixel": {"sensor_noise_v": 0.7e-3}}})
+    assert source.config.camera.pixel.sensor_noise_v == 0.7e-3
+    assert any("camera.pixel is not that of the calibration" in note for note in source.notes)
+    ready = open_source(SCENE, config=open_source(SCENE, layers=[layer]).config)
+    assert not any("is not that" in note for note in ready.notes)
+    np.testing.assert_array_equal(next(iter(ready.captures)).raw.planes["offset_a"], np.float32(0.01))
+
+
+def test_a_recorded_calibration_is_used_for_its_method_only_and_can_be_left_out(tmp_path, made):
+    (_, layer), target = made, tmp_path / "run.mcap"
+    source, _ = first(SCENE, layer)
+    with Recorder(target, source.config, source.name) as recorder:
+        recorder.write(next(iter(source.captures)))
+    with pytest.raises(UsageError, match=r"method = mdsi3, but here method = mdsi4"):
+        open_source(target, layers=[{"ranging": "mdsi4"}])
+    bare, raw = first(target, {"ranging": "mdsi4", "camera": {"calibration": "", "range_curve_m": []}})
+    assert {"shutter_a", "shutter_b", "n_acc"} <= {*raw.planes}
+    assert not {name for name in raw.planes if name.startswith(("offset_", "range_"))}
+    assert any("is not used" in note for note in bare.notes)
+
+
+@pytest.mark.parametrize(("now_c", "notes"), [(12.0, 0), (21.9, 0), (22.0, 1), (2.0, 1), (60.0, 2)])
+def test_a_calibration_of_another_temperature_asks_to_be_taken_again(made, now_c, notes):
+    """K-CAL-02: 10 K; and the camera of the thesis works from 0 to 50 C."""
+    source = open_source(SCENE, layers=[made[1], {"camera": {"temperature_c": now_c}}])
+    assert sum("calibrate again" in note or "outside of 0 to 50" in note for note in source.notes) == notes
+
+
+def test_the_offset_of_each_pixel_of_a_continuous_wave_camera_is_taken_off(tmp_path):
+    """A fixed pattern of the phase: what is left is less than a tenth of a millimetre, and ranges wrap."""
+    path, layer = tmp_path / "cw.npz", {"preset": "scaled_car"}
+    source, raw = first(CW_SCENE, layer)
+    camera = source.config.camera
+    pattern_m = np.random.default_rng(1).normal(0.0, 0.1, raw.shape)
+    pattern_m[0, 0] = 8.0
+    facts = cw.made_for(camera, source.config.ranging)
+    save_calibration(path, Calibration(facts, planes={"range_offset_m": pattern_m}))
+    calibrated_source, with_plane = first(CW_SCENE, layer, {"camera": {"calibration": str(path)}})
+    bare = cw.RANGING[source.config.ranging](raw, camera)
+    image = cw.RANGING[source.config.ranging](with_plane, calibrated_source.config.camera)
+    unambiguous_m = 2 * np.pi * cw.signal.metres_per_radian(camera)
+    expected = np.mod(bare.range_m - pattern_m, unambiguous_m)
+    ok = image.valid & (expected > 1e-3) & (expected < unambiguous_m - 1e-3)
+    np.testing.assert_allclose(image.range_m[ok], expected[ok], atol=1e-5)
+    with pytest.raises(UsageError, match="kind = cw, but here kind = pulsed"):
+        first(SCENE, {"preset": "usercams", "camera": {"calibration": str(path)}})
+    wrong = replace(with_plane, planes={**with_plane.planes, "range_offset_m": np.zeros((2, 2))})
+    with pytest.raises(DataError, match="'range_offset_m' has shape"):
+        cw.RANGING[source.config.ranging](wrong, camera)

@@ -7,14 +7,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rangecam.config import Config, load_config, merge, preset_names, preset_tree
+from rangecam.calibration import Calibration, attach, check_made_for, load_calibration
+from rangecam.config import FAMILIES, Config, load_config, merge, preset_names, preset_tree, tree
 from rangecam.errors import DataError, UsageError
 from rangecam.io import npz, recording
 from rangecam.io.content import Captures, Content, Source
 from rangecam.io.files import check_source
-from rangecam.pulsed import made_for
 from rangecam.types import Capture
 
+_RECALIBRATE_K = 10.0
+_WORKS_C = (0.0, 50.0)
 _FAMILY = {"cw": "continuous-wave", "pulsed": "pulsed", "processed": "range-image"}
 
 
@@ -29,9 +31,10 @@ def open_source(
     """Open `scenario:NAME`, a recording (.mcap) or a NumPy file (.npz).
 
     Its settings, the last winning: those of `preset` (else of a preset named in `layers`, else those recorded with the
-    source or of the preset that it suggests); facts that it states itself, such as its modulation frequency; `layers`
-    of nested dicts. Or a ready `config`, which is taken as it is. seed: of the simulated noise.
-    The captures carry the calibration that `camera.calibration` names, unless it is the one that was recorded.
+    source or of the preset that it suggests); facts that it states itself, such as its modulation frequency; those that
+    the calibration determines; `layers` of nested dicts. Or a ready `config`, which is taken as it is. seed: of the
+    simulated noise. The captures carry the calibration that `camera.calibration` names and no other; a recording that
+    was made with it has it already, and the file is not needed.
     Raises UsageError if there is no such source or the settings do not suit it, DataError if its content is at fault.
     """
     if config is not None and (preset or layers):
@@ -39,27 +42,78 @@ def open_source(
     name = str(url)
     content = _open(name, seed)
     if config is None:
-        config = _configure(name, content, preset, layers)
+        base, *settings = _layers(name, content, preset, layers)
+        calibration = _calibration(content, merge(preset_tree(base) if base else {}, *settings))
+        config = load_config(
+            base, *settings[:2], {"camera": calibration.settings} if calibration else {}, *settings[2:]
+        )
+    else:
+        calibration = _calibration(content, tree(config))
     _check_kind(name, content, config.camera.kind, config.preset)
-    captures = _calibrated(content, config) or Captures(partial(content.captures, config))
-    return Source(name, config, captures, content.n_frames(config), content.notes)
+    captures = Captures(partial(content.captures, config))
+    notes = content.notes
+    if config.camera.kind != "processed":  # which calibrates itself
+        path = config.camera.calibration
+        captures = _calibrated(content, captures, path, calibration, config)
+        notes = (*notes, *_advice(content, path, calibration, config))
+    return Source(name, config, captures, content.n_frames(config), notes)
 
 
-def _calibrated(content: Content, config: Config) -> Captures | None:
-    """Return the captures with the planes of `camera.calibration`; None without one, or if the recording has them."""
-    camera = config.camera
-    recorded = content.settings.get("camera", {}).get("calibration")
-    if camera.kind != "pulsed" or not camera.calibration or camera.calibration == recorded:
-        return None
-    from rangecam.calibration import attach, load_calibration
+def _recorded(content: Content) -> str:
+    """Return the name of the calibration that samples were recorded with."""
+    return str(content.settings.get("camera", {}).get("calibration", ""))
 
-    calibration = load_calibration(Path(camera.calibration), made_for(camera, config.ranging))
 
-    def captures() -> Iterator[Capture]:
-        for capture in content.captures(config):
-            yield replace(capture, raw=attach(capture.raw, calibration))
+def _calibration(content: Content, settings: Mapping[str, Any]) -> Calibration | None:
+    """Return the calibration that these settings name, unless it is the one that was recorded with the samples."""
+    camera = settings.get("camera")
+    path = camera.get("calibration") if isinstance(camera, Mapping) else None
+    return None if not path or path == _recorded(content) else load_calibration(Path(str(path)))
 
-    return Captures(captures)
+
+def _calibrated(
+    content: Content, captures: Captures, path: str, calibration: Calibration | None, config: Config
+) -> Captures:
+    """Return the captures with the planes of the calibration at `path`, and of no other; none: those recorded.
+
+    Raises UsageError if it was made for another camera or method.
+    """
+    family: Any = FAMILIES[config.camera.kind]
+    facts = family.made_for(config.camera, config.ranging)
+    if path and path == _recorded(content):
+        taken = load_config(None, content.settings)
+        check_made_for(path, Calibration(family.made_for(taken.camera, taken.ranging)), facts)
+        return captures
+    if calibration is not None:
+        check_made_for(path, calibration, facts)
+
+    def begin() -> Iterator[Capture]:
+        for capture in captures:
+            planes = {k: plane for k, plane in capture.raw.planes.items() if not k.startswith(family.PLANES)}
+            raw = replace(capture.raw, planes=planes)
+            yield replace(capture, raw=raw if calibration is None else attach(raw, calibration))
+
+    return Captures(begin)
+
+
+def _advice(content: Content, path: str, calibration: Calibration | None, config: Config) -> Iterator[str]:
+    """Yield what a user should know of the calibration (K-CAL-02)."""
+    recorded = _recorded(content)
+    if recorded and path != recorded:
+        yield f"the calibration that it was recorded with, {recorded}, is not used"
+    now_c = getattr(config.camera, "temperature_c", None)
+    taken_c = calibration.taken.get("temperature_c") if calibration else None
+    if now_c is not None and not _WORKS_C[0] <= now_c <= _WORKS_C[1]:
+        yield f"camera.temperature_c = {now_c:g}: nobody has tried it outside of {_WORKS_C[0]:g} to {_WORKS_C[1]:g} C"
+    if now_c is not None and taken_c is not None and abs(now_c - taken_c) >= _RECALIBRATE_K:
+        yield (
+            f"{path} was taken at {taken_c:g} C, the camera is at {now_c:g} C: offsets move with the temperature; "
+            f"calibrate again when it has changed by {_RECALIBRATE_K:g} K"
+        )
+    for key, value in calibration.settings.items() if calibration else ():
+        used = tree(config)["camera"].get(key)
+        if merge({key: used}, {key: value})[key] != used:
+            yield f"camera.{key} is not that of the calibration {path}"
 
 
 def _open(name: str, seed: int) -> Content:
@@ -76,14 +130,14 @@ def _open(name: str, seed: int) -> Content:
     return SUFFIXES[suffix](path)
 
 
-def _configure(name: str, content: Content, preset: str | None, layers: Sequence[Mapping[str, Any]]) -> Config:
-    """Return the configuration of a source; see `open_source` for who wins."""
+def _layers(name: str, content: Content, preset: str | None, layers: Sequence[Mapping[str, Any]]) -> tuple[Any, ...]:
+    """Return the preset to begin with and the layers over it: recorded settings, facts, then those of the caller."""
     chosen = preset or next((str(layer["preset"]) for layer in reversed(layers) if "preset" in layer), None)
     base, settings = _base(name, content, chosen)
     camera = merge(preset_tree(base) if base else {}, settings, *layers).get("camera")
     if isinstance(camera, Mapping):
         _check_kind(name, content, camera.get("kind", "cw"), chosen or content.preset)
-    return load_config(base, settings, content.facts, *layers)
+    return base, settings, content.facts, *layers
 
 
 def _base(name: str, content: Content, chosen: str | None) -> tuple[str | None, Mapping[str, Any]]:

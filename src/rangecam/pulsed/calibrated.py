@@ -1,47 +1,76 @@
-"""Pulsed ranging with the calibration that a frame carries: offsets off before it, the line of each pixel after it."""
+"""Pulsed ranging with the calibration of a camera: offsets off before it, curve and the line of each pixel after."""
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
+from functools import lru_cache, wraps
 from typing import Any
 
 import numpy as np
 
-from rangecam.errors import DataError
+from rangecam.calibration.distance import Line, apply_curve
+from rangecam.errors import DataError, UsageError
 from rangecam.pulsed.settings import PulsedCamera
-from rangecam.types import RangeImage, RawFrame
+from rangecam.types import Floats, RangeImage, RawFrame, Why
 
 Method = Callable[[RawFrame, PulsedCamera], RangeImage]
 
 _MADE_FOR = (
-    "readout", "shutters", "rows", "columns", "pulse_width_s", "laser_delay_s", "shutter_delay_s", "shutter_a_width_s",
-    "shutter_b_width_s", "gradient_step_s", "gating_s", "delay_first_s", "delay_step_s", "delay_count", "offset_m",
+    "kind", "readout", "shutters", "rows", "columns", "pulse_width_s", "laser_delay_s", "shutter_delay_s",
+    "shutter_a_width_s", "shutter_b_width_s", "gradient_step_s", "gating_s", "delay_first_s", "delay_step_s",
+    "delay_count", "gate_width_s", "pulse_lead_s", "speed_of_light_mps",
 )  # fmt: skip
+_SLOPE, _INTERCEPT = "range_slope", "range_intercept_m"
+PLANES = ("offset_", _SLOPE, _INTERCEPT)
+"""Beginnings of the names of planes that a calibration lays beside the samples."""
 
 
 def made_for(camera: PulsedCamera, method: str) -> dict[str, Any]:
     """Return the facts by which a calibration is known to be one of this camera with this ranging method (K-CAL-05)."""
-    return {"method": method, **{name: getattr(camera, name) for name in _MADE_FOR}}
+    return {**{name: getattr(camera, name) for name in _MADE_FOR}, "method": method}
 
 
 def calibrated(method: Method) -> Method:
-    """Return the ranging method with calibration, if the frame has its planes (`rangecam.calibration.attach`).
+    """Return the ranging method with calibration, if the frame has its planes or the camera a `range_curve_m`.
 
-    offset_* are taken off shutter_* (König 2008, 4.3.1), but saturated samples stay as they are. range_m becomes
-    range_slope range_m + range_intercept_m, and sigma_m grows with the slope (4.3.2); the reasons are those of the
-    method, whose limits are of the range before. Raises DataError for a plane that does not fit, beside what it raises.
+    offset_* are taken off shutter_* (König 2008, 4.3.1), but saturated samples stay as they are. The range goes through
+    the curve, then range_slope range + range_intercept_m (4.3.2), then gets `offset_m`; sigma_m grows with the slopes.
+    The limits of the method hold before, `min_range_m` and `max_range_m` after. Raises DataError for a plane that does
+    not fit and UsageError for a curve that does not rise, beside what the method raises.
     """
 
     @wraps(method)
     def with_calibration(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
-        if "range_slope" not in raw.planes:
+        if not (camera.range_curve_m or any(name.startswith(PLANES) for name in raw.planes)):
             return method(raw, camera)
-        image = method(_without_offset(raw, camera), camera)
-        slope, intercept_m = (_fitting(raw, name) for name in ("range_slope", "range_intercept_m"))
-        range_m = (slope * image.range_m + intercept_m).astype(np.float32)
-        return replace(image, range_m=range_m, sigma_m=(slope * image.sigma_m).astype(np.float32))
+        bare, points = _before(camera)
+        image = method(_without_offset(raw, camera), bare)
+        if _SLOPE in raw.planes or _INTERCEPT in raw.planes:
+            line = Line(_fitting(raw, _SLOPE), _fitting(raw, _INTERCEPT) + camera.offset_m)
+        else:
+            line = Line(np.ones(raw.shape), np.full(raw.shape, camera.offset_m))
+        return _limited(apply_curve(image, points, line, camera.far_margin_sigmas), camera)
 
     return with_calibration
+
+
+@lru_cache(maxsize=8)
+def _before(camera: PulsedCamera) -> tuple[PulsedCamera, Floats]:
+    """Return the camera whose ranges are calibrated, without what belongs after that, and the points of its curve."""
+    points = np.array(camera.range_curve_m, np.float64).reshape(-1, 2)
+    if len(points) == 1 or (np.diff(points, axis=0) <= 0).any():
+        raise UsageError(
+            "camera.range_curve_m: needs two or more points (measured, true), and both must increase from each to the "
+            "next"
+        )
+    # low and high of the true range mean nothing for the measured one
+    return replace(camera, offset_m=0.0, min_range_m=-np.inf, max_range_m=None), points
+
+
+def _limited(image: RangeImage, camera: PulsedCamera) -> RangeImage:
+    """Return the image with what the user does not want marked OUT_OF_RANGE."""
+    high_m = np.inf if camera.max_range_m is None else camera.max_range_m
+    outside = (image.why == Why.VALID) & ((image.range_m < camera.min_range_m) | (image.range_m > high_m))
+    return replace(image, why=np.where(outside, np.uint8(Why.OUT_OF_RANGE), image.why))
 
 
 def _without_offset(raw: RawFrame, camera: PulsedCamera) -> RawFrame:

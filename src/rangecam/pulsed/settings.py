@@ -151,8 +151,14 @@ class PulsedCamera:
     """Three-tap: how long before gate 2 opens the pulse is sent. If 0, tap 1 sees background only."""
 
     calibration: str = ""
-    """File with dark images and the range line of each pixel (`rangecam.calibration`), read when a source is opened;
-    empty: none. A recording holds the calibration that it was made with."""
+    """File with dark images, settings and the range line of each pixel (`rangecam.calibration`), read when a source is
+    opened; empty: none. A recording holds the calibration that it was made with."""
+    range_curve_m: tuple[tuple[float, float], ...] = ()
+    """Points (measured, true) of the curve by which ranges are corrected, both increasing; a calibration sets it where
+    soft edges bend the quotient; empty: none."""
+    temperature_c: float = 25.0
+    """Ambient temperature of the camera; a calibration that was taken at one 10 K away or more is out of date, and the
+    camera of the thesis worked from 0 to 50 (König 2008, 5.2.1.1)."""
     offset_m: float = 0.0
     """Added to every range."""
     speed_of_light_mps: Positive = SPEED_OF_LIGHT

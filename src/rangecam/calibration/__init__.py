@@ -1,0 +1,26 @@
+"""Calibration: what is known of one camera beyond its settings, as a file, for all families.
+
+- file: `Calibration` = settings of the camera that it determines + images of every pixel; saved, loaded, attached
+- dark: what a camera reads in darkness, for each number of accumulations
+- distance: the curve of a camera and the line of each pixel, from measured to true range
+What an image corrects, and when, is the business of the family (its `calibrated.py`), as is how the settings are found.
+"""
+
+from rangecam.calibration.dark import estimate_dark
+from rangecam.calibration.distance import Line, Plane, apply_curve, fit_curve, fit_range, mean_plane
+from rangecam.calibration.file import Calibration, attach, check_made_for, load_calibration, save_calibration
+
+__all__ = [
+    "Calibration",
+    "Line",
+    "Plane",
+    "apply_curve",
+    "attach",
+    "check_made_for",
+    "estimate_dark",
+    "fit_curve",
+    "fit_range",
+    "load_calibration",
+    "mean_plane",
+    "save_calibration",
+]
