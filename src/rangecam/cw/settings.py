@@ -2,12 +2,12 @@
 
 from typing import Annotated, Literal
 
-from annotated_types import Interval
+from annotated_types import Ge, Interval
 
 from rangecam.cw.effects import FixedPattern, Interference, Link, Multipath, Scattering, Taps, Temperature, Waveform
 from rangecam.cw.emulation import Emulation
 from rangecam.geometry import Lens
-from rangecam.settings import NonNegative, NonNegativeInt, Positive, PositiveInt, settings
+from rangecam.settings import Fraction, NonNegative, NonNegativeInt, Positive, PositiveInt, settings
 from rangecam.types import SPEED_OF_LIGHT
 
 Register = tuple[str | int, int]
@@ -79,6 +79,24 @@ class CwCamera:
     max_phase_sigma_rad: Annotated[float, Interval(gt=0, le=0.5)] = 0.1
     """Pixels with a greater phase noise are LOW_AMPLITUDE; beyond 0.1 the arctangent leaves its linear regime, and of
     weak pixels mostly those pass whose noise points away from the truth, so that sigma_m holds it too seldom."""
+    phasor_filter: Literal["off", "3x3", "5x5"] = "off"
+    """Neighbours that are averaged with each pixel as phasors, at all frequencies together and before the arctangent,
+    which is right across the wrap; only those of the same surface by `phasor_filter_sigmas` and `_contrast`."""
+    phasor_filter_sigmas: Positive = 2.5
+    """Neighbours whose phases differ by more standard deviations, in the mean over the frequencies, are left out."""
+    phasor_filter_contrast: Annotated[float, Ge(1)] = 3.0
+    """Neighbours whose amplitude differs by a greater factor are left out."""
+    phasor_min_support: Fraction = 0.0
+    """Pixels with which a smaller share of their neighbours could be averaged are FLYING: a mixture of two surfaces is
+    like neither of them."""
+    unwrap_error: Annotated[float, Interval(gt=0, lt=1)] = 1e-3
+    """A pixel is WRAPPED where another number of wraps is more than this fraction as likely as the likeliest."""
+    unwrap_residual_sigmas: Positive = 4.0
+    """A pixel is WRAPPED if its phases contradict each other by more, even with the likeliest number of wraps."""
+    unwrap_to_m: Positive | None = None
+    """Greatest range that unwrapping looks for; none: the unambiguous range of all frequencies together."""
+    unwrap_spatially: bool = False
+    """Pixels that cannot decide the number of wraps alone take the one that agrees with neighbours that could."""
     pseudo_rows: NonNegativeInt = 0
     """First rows of the image that carry the sensor's own data instead of light: SENSOR_FLAG."""
 
