@@ -8,11 +8,17 @@ import numpy as np
 from rangecam.errors import DataError, UsageError
 from rangecam.geometry import rays
 from rangecam.optics import ambient_on_sensor, irradiance_on_sensor
-from rangecam.pulsed.pixel import read_adaptively, responsivity
+from rangecam.pulsed.crosstalk import electrical, optical
+from rangecam.pulsed.feasible import check, max_frame_rate_hz, window_step_s
+from rangecam.pulsed.laser import beam_profile, power_w
+from rangecam.pulsed.pixel import adapt, offsets, read_out, responsivity
+from rangecam.pulsed.pulses import differ, mean_of_pulses
 from rangecam.pulsed.settings import PulsedCamera, Taps
 from rangecam.pulsed.signal import Window, collected_s, exposures, gate_windows
 from rangecam.scene.view import View
 from rangecam.types import Floats, RawFrame
+
+__all__ = ["ambient_irradiance", "laser_exposure", "max_frame_rate_hz", "simulate"]
 
 _NEAREST_M = 1e-3
 
@@ -21,29 +27,18 @@ def simulate(view: Callable[[float], View], camera: PulsedCamera, time_s: float,
     """Return the raw frame of an image whose exposure has its middle at `time_s`.
 
     `view(time_s)` says what the camera sees at a moment. The rays of a pixel add up as light, so that an edge in it
-    gives a mixed range. Shutter windows are taken one after the other, each at its own time (König 2008, 4.2.3.4);
-    the gates of a three-tap sensor at the same. Planes: see `RawFrame`.
-    Raises UsageError if the camera cannot be that fast, DataError if the view is not of its size.
+    gives a mixed range. Shutter windows are taken one after the other, each at its own time (König 2008, 4.2.3.4), or
+    in turns with each pulse; the gates of a three-tap sensor at the same. Planes: see `RawFrame`.
+    Raises UsageError if the camera is impossible or cannot be that fast, DataError if the view is.
     """
+    check(camera)
     if camera.frame_rate_hz > max_frame_rate_hz(camera) * (1 + 1e-9):
         raise UsageError(
-            f"camera.frame_rate_hz = {camera.frame_rate_hz:g}: exposure leaves no more than "
+            f"camera.frame_rate_hz = {camera.frame_rate_hz:g}: exposure and read-out leave no more than "
             f"{max_frame_rate_hz(camera):.4g} Hz; take fewer pulses, windows or averages, or a higher repetition rate"
         )
     planes = _shutter_planes if camera.readout == "shutters" else _tap_planes
     return RawFrame(time_s, planes(view, camera, time_s, rng))
-
-
-def max_frame_rate_hz(camera: PulsedCamera) -> float:
-    """Return the images a second that the exposure allows (König 2008, eq 4.48, for any number of windows)."""
-    return camera.laser.repetition_hz / (_pulses(camera) * camera.averages)
-
-
-def _pulses(camera: PulsedCamera) -> int:
-    """Return the pulses of one image, before averaging."""
-    if camera.readout == "three_tap":
-        return camera.taps.pulses
-    return len(exposures(camera)) * max(camera.pixel.accumulations)
 
 
 def _shutter_planes(
@@ -53,16 +48,27 @@ def _shutter_planes(
 
     With averaging, every window is taken at the mean of its times.
     """
-    taken, apart_s = exposures(camera), max(camera.pixel.accumulations) / camera.laser.repetition_hz
+    taken, apart_s = exposures(camera), window_step_s(camera)
     volts, count = responsivity(camera.pixel), len(taken)
-    single_v, ambient_vps = (np.empty((count, camera.rows, camera.columns)) for _ in range(2))
-    widths_s = np.empty((count, 1, 1))
+    shape = (count, camera.rows, camera.columns)
+    light_jpm2, slope_wpm2, ambient_wpm2 = np.empty(shape), np.zeros(shape), np.empty(shape)
+    widths_s = tuple(window[1] - window[0] for window, _ in taken.values())
+    jitter_s = camera.laser.trigger_jitter_s
     for i, (window, delay_s) in enumerate(taken.values()):
         seen = _look(view, time_s + (i - (count - 1) / 2) * apart_s, camera)
-        widths_s[i] = window[1] - window[0]
-        single_v[i] = volts * laser_exposure(seen, window, delay_s, camera)  # eq 4.13
-        ambient_vps[i] = volts * ambient_irradiance(seen, camera)
-    values_v, n_acc = read_adaptively(single_v, ambient_vps * widths_s, camera.pixel, camera.averages, rng)
+        light_jpm2[i] = laser_exposure(seen, window, delay_s, camera)
+        if jitter_s:
+            early, late = (laser_exposure(seen, window, delay_s + at_s, camera) for at_s in (-jitter_s, jitter_s))
+            slope_wpm2[i] = (late - early) / (2 * jitter_s)
+        ambient_wpm2[i] = ambient_irradiance(seen, camera)
+    single_v = volts * electrical(light_jpm2, camera.crosstalk)  # eq 4.13
+    ambient_vps = volts * ambient_wpm2
+    ambient_v = ambient_vps * np.reshape(widths_s, (-1, 1, 1))
+    if differ(camera):
+        slope_vps = volts * electrical(slope_wpm2, camera.crosstalk)
+        single_v = mean_of_pulses(single_v, slope_vps, ambient_v, camera, rng)
+    offset_v = offsets(shape, widths_s, camera.temperature_c, camera.pixel)
+    values_v, n_acc = adapt(read_out(single_v, ambient_v, offset_v, camera.pixel, camera.averages, rng), camera.pixel)
     planes = {name: values_v[i].astype(np.float32) for i, name in enumerate(taken)}
     return planes | {"n_acc": n_acc, "ambient": ambient_vps.mean(axis=0).astype(np.float32)}
 
@@ -76,7 +82,8 @@ def _tap_planes(
     planes = {}
     for name, window in gate_windows(camera).items():
         dark = taps.black_level_counts + to_counts * ambient_irradiance(seen, camera) * (window[1] - window[0])
-        lit = dark + to_counts * laser_exposure(seen, window, -camera.pulse_lead_s, camera)
+        pulse = laser_exposure(seen, window, -camera.pulse_lead_s, camera)
+        lit = dark + to_counts * electrical(pulse, camera.crosstalk)
         counts = np.zeros(shape)
         for _ in range(camera.averages):
             noisy = lit + np.sqrt(_tap_variance(lit, taps)) * rng.standard_normal(shape)
@@ -101,34 +108,42 @@ def _look(view: Callable[[float], View], time_s: float, camera: PulsedCamera) ->
             f"view of shape {seen.range_m.shape}: the camera needs (rays, {camera.rows}, {camera.columns}), "
             "its rows and columns"
         )
+    if seen.reflectivity.min() < 0:
+        raise DataError(f"view with a reflectivity of {float(seen.reflectivity.min()):g}: it must be 0 or more")
     return seen
 
 
 def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCamera) -> Floats:
     """Return the exposure of one pulse within a window, J/m2 (H, W): the mean over the rays of each pixel.
 
-    delay_s: of the pulse when it leaves. König 2008, eqs 3.11 and 3.16.
+    delay_s: of the pulse when it leaves. Blur, stray light and cover glass are in it (`camera.crosstalk`).
+    König 2008, eqs 3.11 and 3.16.
     """
     range_m = np.maximum(view.range_m, _NEAREST_M)
     flight_s = 2 / camera.speed_of_light_mps * range_m
-    irradiance = view.reflectivity * view.cos_incidence / range_m**2 * _light(camera)[0]
-    exposure: Floats = (irradiance * collected_s(delay_s + flight_s, window, camera)).mean(axis=0)
-    return exposure
+    laser, _, cos_axis = _light(camera)
+    irradiance = view.reflectivity * view.cos_incidence / range_m**2 * laser
+    return optical(irradiance * collected_s(delay_s + flight_s, window, camera), range_m * cos_axis, camera)
 
 
 def ambient_irradiance(view: View, camera: PulsedCamera) -> Floats:
-    """Return the irradiance of the sensor by ambient light, W/m2 (H, W): the mean over the rays of each pixel."""
-    irradiance: Floats = view.ambient_wpm2 * view.reflectivity.mean(axis=0) * _light(camera)[1]
-    return irradiance
+    """Return the irradiance of the sensor by ambient light, W/m2 (H, W): as `laser_exposure`."""
+    _, ambient, cos_axis = _light(camera)
+    if view.ambient_wpm2 == 0:
+        return np.zeros(ambient.shape)
+    return optical(view.ambient_wpm2 * view.reflectivity * ambient, view.range_m * cos_axis, camera)
 
 
 @lru_cache(maxsize=8)
-def _light(camera: PulsedCamera) -> tuple[Floats, Floats]:
+def _light(camera: PulsedCamera) -> tuple[Floats, Floats, Floats]:
     """Return the irradiance of the sensor, W/m2 (H, W), by the laser off a white surface at 1 m, and by ambient light.
 
-    Both across the ray; ambient light of 1 W/m2.
+    Both across the ray; ambient light of 1 W/m2. The third image is the cosine between ray and optical axis.
     """
     cos_axis = rays(camera.lens, (camera.rows, camera.columns))[..., 0]
-    one, power_w = np.ones_like(cos_axis), camera.laser.peak_power_w * camera.laser.modules
-    laser = irradiance_on_sensor(power_w, one, one, one, cos_axis, camera.objective)
-    return laser, ambient_on_sensor(1.0, one, cos_axis, camera.objective)
+    one = np.ones_like(cos_axis)
+    peak_w = power_w(camera.laser, camera.pulse_width_s, camera.temperature_c) * beam_profile(
+        camera.laser, camera.columns
+    )
+    laser = irradiance_on_sensor(peak_w, one, one, one, cos_axis, camera.objective)
+    return laser, ambient_on_sensor(1.0, one, cos_axis, camera.objective), cos_axis

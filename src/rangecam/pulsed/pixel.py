@@ -1,10 +1,14 @@
 """The shutter pixel: light to volts, accumulation with its damping, and every part of its noise."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from rangecam.pulsed.laser import REFERENCE_C
+from rangecam.pulsed.noise import remaining_v
 from rangecam.pulsed.settings import Pixel
 from rangecam.types import Floats
 
@@ -41,8 +45,8 @@ def accumulated(single_v: ArrayLike, n_acc: ArrayLike, pixel: Pixel) -> Floats:
 
 def dark_noise(n_acc: ArrayLike, pixel: Pixel) -> Floats:
     """Return sigma_U without light, V, before the damping that signal and noise share (König 2008, eq 4.21)."""
-    n = np.asarray(n_acc, np.float64)
-    return np.asarray(np.sqrt(n * pixel.sensor_noise_v**2 + pixel.readout_noise_v**2))
+    sensor_v, readout_v = remaining_v(pixel)
+    return np.asarray(np.sqrt(np.asarray(n_acc, np.float64) * sensor_v**2 + readout_v**2))
 
 
 def photon_noise(signal_v: ArrayLike, pixel: Pixel) -> Floats:
@@ -77,41 +81,128 @@ def fixed_pattern(shape: tuple[int, ...], pixel: Pixel) -> tuple[Floats, Floats]
     return pixel.fixed_pattern_v * readout, pixel.fixed_pattern_per_pulse_v * pulse
 
 
-def read_adaptively(
-    single_v: Floats, ambient_v: Floats, pixel: Pixel, averages: int, rng: np.random.Generator
-) -> tuple[Floats, NDArray[np.uint8]]:
+@lru_cache(maxsize=8)
+def offsets(shape: tuple[int, int, int], widths_s: tuple[float, ...], temperature_c: float, pixel: Pixel) -> Floats:
+    """Return the offset of every read-out, V (K, S, H, W): K numbers of accumulations, in order (K-PIX-16).
+
+    shape (S, H, W): of the samples; widths_s (S,): how long the shutters are open. To the `fixed_pattern` come an
+    offset of each number of accumulations, one that grows with the length of the shutter, and the drift with the
+    temperature of the surroundings from 25 °C.
+    """
+    steps = sorted(pixel.accumulations)
+    readout_v, pulse_v = fixed_pattern(shape, pixel)
+    rng = np.random.default_rng([pixel.fixed_pattern_seed, 1])
+    rate, drift, own = rng.standard_normal(shape), rng.standard_normal(shape), rng.standard_normal((len(steps), *shape))
+    pulse_v = pulse_v + pixel.fixed_pattern_vps * rate * np.reshape(widths_s, (-1, 1, 1))
+    per_k = pixel.offset_drift_vpk + pixel.offset_drift_spread_vpk * drift
+    still_v = readout_v + (temperature_c - REFERENCE_C) * per_k
+    grown_v = accumulated(pulse_v, np.reshape(steps, (-1, 1, 1, 1)), pixel)
+    return np.asarray(still_v + pixel.fixed_pattern_per_step_v * own + grown_v)
+
+
+def read_out(
+    single_v: Floats, ambient_v: Floats, offset_v: Floats, pixel: Pixel, averages: int, rng: np.random.Generator
+) -> Floats:
+    """Return what the converter gives at every number of accumulations of a run: (averages, K, S, H, W) V.
+
+    single_v: signal of one pulse (S, H, W), or the mean over the pulses up to each read-out (averages, K, S, H, W).
+    ambient_v (S, H, W): background of one exposure. offset_v: of each read-out, see `offsets`.
+    The accumulated signal is read without destroying it (4.1.1.4): its noise goes on growing pulse by pulse, while each
+    read-out adds its own. The noise of a value is `noise_variance`. A pixel that laser and background fill in one
+    exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
+    """
+    steps = np.array(sorted(pixel.accumulations), np.float64)
+    shape = (averages, len(steps), *ambient_v.shape)
+    flat = (*shape[:3], -1)
+    values_v = np.empty(shape)
+    sensor_v, readout_v = remaining_v(pixel)
+    per_photon = float(photon_noise(1.0, pixel)) ** 2
+    _read_out(
+        np.broadcast_to(single_v, shape).reshape(flat),
+        ambient_v.reshape(len(ambient_v), -1),
+        offset_v.reshape(len(steps), len(ambient_v), -1),
+        rng.standard_normal((2, *shape), np.float32).reshape(2, *flat),
+        steps,
+        damping(steps, pixel),
+        np.array([sensor_v**2, readout_v, per_photon, pixel.saturation_v]),
+        values_v.reshape(flat),
+    )
+    return convert(values_v, pixel)
+
+
+@njit(cache=True, nogil=True)
+def _read_out(
+    single_v: Any,
+    ambient_v: Any,
+    offset_v: Any,
+    deviates: Any,
+    steps: Any,
+    damped: Any,
+    settings: Any,
+    values_v: Any,
+) -> Any:
+    """Fill the values (A, K, S, P) before they are converted, inf for a pixel that one exposure fills."""
+    sensor_v2, readout_v, per_photon, full_v = settings
+    averages, count, windows, pixels = values_v.shape
+    noise_v, before_v2 = np.empty(pixels), np.empty(pixels)
+    for a in range(averages):
+        for s in range(windows):
+            noise_v[:], before_v2[:] = 0.0, 0.0
+            for k in range(count):
+                n, d = steps[k], damped[k]
+                for i in range(pixels):
+                    mean_v = single_v[a, k, s, i]
+                    so_far_v2 = n * (sensor_v2 + per_photon * (max(mean_v, 0.0) + 2 * ambient_v[s, i]))
+                    noise_v[i] += np.sqrt(max(so_far_v2 - before_v2[i], 0.0)) * deviates[0, a, k, s, i]
+                    before_v2[i] = so_far_v2
+                    value_v = d * (n * mean_v + noise_v[i] + readout_v * deviates[1, a, k, s, i]) + offset_v[k, s, i]
+                    values_v[a, k, s, i] = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
+
+
+def adapt(values_v: Floats, pixel: Pixel) -> tuple[Floats, NDArray[np.uint8]]:
     """Return the shutter values, V, (S, H, W) and the accumulations of each pixel (H, W), common to its shutters.
 
-    single_v, ambient_v (S, H, W): signal and background of one pulse. Of the numbers of accumulations the largest is
-    taken at which no shutter of the pixel is saturated (4.1.1.3; K-PIX-10), else the smallest. The accumulated signal
-    is read at all of them without destroying it, so that they share one deviate. A pixel that laser and background fill
-    in one exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
-    Values are means over `averages` images, full scale if one of them is.
+    values_v (averages, K, S, H, W): see `read_out`. Of the numbers of accumulations the largest is taken at which no
+    shutter of the pixel is saturated (4.1.1.3; K-PIX-10), else the smallest. Values are means over the averaged images,
+    full scale if one of them is.
     """
-    deviates = rng.standard_normal((averages, *single_v.shape))
-    full = single_v + ambient_v >= pixel.saturation_v
-    steps = sorted(pixel.accumulations)
-    values_v = _read(steps[0], single_v, ambient_v, full, deviates, pixel)
-    chosen = np.full(single_v.shape[1:], steps[0], np.uint8)
-    for n in steps[1:]:
-        more_v = _read(n, single_v, ambient_v, full, deviates, pixel)
-        free = (more_v < pixel.saturation_v).all(axis=(0, 1))
-        np.copyto(values_v, more_v, where=free)
-        np.copyto(chosen, np.uint8(n), where=free)
-    saturated = (values_v >= pixel.saturation_v).any(axis=0)
-    return np.where(saturated, pixel.saturation_v, values_v.mean(axis=0)), chosen
+    averages, count, windows, *image = values_v.shape
+    chosen_v, n_acc = np.empty((windows, *image)), np.empty(image, np.uint8)
+    steps = np.array(sorted(pixel.accumulations), np.uint8)
+    _adapt(
+        values_v.reshape(averages, count, windows, -1),
+        steps,
+        pixel.saturation_v,
+        chosen_v.reshape(windows, -1),
+        n_acc.reshape(-1),
+    )
+    return chosen_v, n_acc
 
 
-def _read(
-    n: int, single_v: Floats, ambient_v: Floats, full: NDArray[np.bool_], deviates: Floats, pixel: Pixel
-) -> Floats:
-    """Return noisy, converted values after `n` pulses: (averages, S, H, W) V."""
-    signal_v = accumulated(single_v, n, pixel)
-    noisy_v = signal_v + np.sqrt(noise_variance(signal_v, n, ambient_v, pixel)) * deviates
-    if pixel.fixed_pattern_v or pixel.fixed_pattern_per_pulse_v:
-        readout_v, pulse_v = fixed_pattern(single_v.shape, pixel)
-        noisy_v += readout_v + accumulated(pulse_v, n, pixel)
-    return np.where(full, pixel.saturation_v, convert(noisy_v, pixel))
+@njit(cache=True, nogil=True)
+def _adapt(values_v: Any, steps: Any, full_v: Any, chosen_v: Any, n_acc: Any) -> Any:
+    averages, count, windows, pixels = values_v.shape
+    for i in range(pixels):
+        k = count - 1
+        while k > 0 and _is_full(values_v[:, k, :, i], full_v):
+            k -= 1
+        n_acc[i] = steps[k]
+        for s in range(windows):
+            total_v = 0.0
+            for a in range(averages):
+                total_v += values_v[a, k, s, i]
+            full = _is_full(values_v[:, k, s : s + 1, i], full_v)
+            chosen_v[s, i] = full_v if full else total_v / averages
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _is_full(values_v: Any, full_v: Any) -> Any:
+    """Return whether any of these values is at the full scale."""
+    found = False
+    for a in range(values_v.shape[0]):
+        for s in range(values_v.shape[1]):
+            found |= values_v[a, s] >= full_v
+    return found
 
 
 def convert(value_v: Floats, pixel: Pixel) -> Floats:

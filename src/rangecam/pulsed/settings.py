@@ -6,20 +6,21 @@ from annotated_types import Gt, Interval, Len
 
 from rangecam.geometry import Lens
 from rangecam.optics import Objective
-from rangecam.settings import NonNegative, Positive, PositiveInt, settings
+from rangecam.pulsed.bit_pattern import Sequencer
+from rangecam.pulsed.crosstalk import Crosstalk
+from rangecam.pulsed.laser import Laser
+from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
 from rangecam.types import SPEED_OF_LIGHT
 
+__all__ = ["Background", "Crosstalk", "Laser", "Pixel", "PulsedCamera", "Sequencer", "Taps"]
 
-@settings
-class Laser:
-    """The light source (König 2008, 4.1.2 and 4.2.2)."""
-
-    peak_power_w: Positive = 2000.0
-    """Peak optical power of one module (eq 4.20, rounded as in the thesis)."""
-    modules: PositiveInt = 1
-    """Modules that light the whole field of view together (K-ILL-04)."""
-    repetition_hz: Positive = 10e3
-    """Pulses a second; 10 kHz is the thermal limit at full power (4.2.2.3)."""
+SensorNoise = Literal[
+    "photodiode", "reset", "shutter", "follower", "amplifier", "select", "discharge", "accumulate", "ddpix", "ref3",
+    "ref4",
+]  # fmt: skip
+"""Parts of the noise of one accumulation, sigma_S (König 2008, 4.2.3.1)."""
+ReadoutNoise = Literal["buffer", "board"]
+"""Parts of the noise of one read-out, sigma_R, besides the rounding of the converter."""
 
 
 @settings
@@ -50,12 +51,23 @@ class Pixel:
     """sigma_R, noise of one read-out (eq 4.23)."""
     photon_noise: bool = True
     """Shot noise of laser and ambient light (eqs 4.24-4.28)."""
+    noise_off: tuple[SensorNoise | ReadoutNoise, ...] = ()
+    """Parts of sigma_S and sigma_R that are switched off, to see what a better circuit would gain (`pulsed.noise`)."""
     adc_bits: Annotated[int, Interval(ge=0, le=24)] = 12
     """Bits of the converter over 0..saturation_v; 0: no rounding. *open*"""
     fixed_pattern_v: NonNegative = 0.0
     """Standard deviation, over pixels and shutters, of the offset of a read-out (simulation; 4.3.1). *open*"""
     fixed_pattern_per_pulse_v: NonNegative = 0.0
     """The same of the offset of every pulse, which accumulates as the signal does (simulation). *open*"""
+    fixed_pattern_per_step_v: NonNegative = 0.0
+    """The same of an offset that each number of accumulations has of its own (simulation; K-PIX-16). *open*"""
+    fixed_pattern_vps: NonNegative = 0.0
+    """The same of the rate of an offset that grows with the length of the shutter, for every pulse (simulation;
+    K-PIX-16). *open*"""
+    offset_drift_vpk: float = 0.0
+    """Change of the offset of every read-out for each kelvin from 25 °C (simulation; 5.2.1.1). *open*"""
+    offset_drift_spread_vpk: NonNegative = 0.0
+    """Standard deviation of that change over pixels and shutters (simulation). *open*"""
     fixed_pattern_seed: Annotated[int, Interval(ge=0)] = 0
     """Which sensor it is: other seeds, other patterns (simulation)."""
     noise_threshold_v: NonNegative = 0.0
@@ -88,6 +100,19 @@ class Taps:
 
 
 @settings
+class Background:
+    """How ambient light varies while the sensor subtracts it (K-PIX-07, K-ENV-01): as a random walk around its mean.
+
+    What it changes between the exposures with the laser on and off stays in the signal; sigma does not know of it.
+    """
+
+    fluctuation: NonNegative = 0.0
+    """Standard deviation of the ambient light over its mean (simulation); 0: constant, as the thesis takes it."""
+    correlation_s: Positive = 1e-3
+    """Time in which the correlation of the ambient light with itself falls to 1/e (simulation). *open*"""
+
+
+@settings
 class PulsedCamera:
     """A camera that lights the scene with short pulses and integrates what returns in shutter windows.
 
@@ -109,9 +134,13 @@ class PulsedCamera:
     readout: Literal["shutters", "three_tap"] = "shutters"
     """shutters: one window after the other, on pulses of their own, with analogue accumulation; three_tap: three gates
     on the same pulses (simulation)."""
-    shutters: Literal["ab", "ac", "bc", "abc", "aa", "bb", "a_delayed", "ab_delayed"] = "ab"
+    shutters: Literal["ab", "ac", "bc", "abc", "aa", "bb", "a_delayed", "b_delayed", "ab_delayed"] = "ab"
     """Windows taken, in this order: mdsi1 needs a and c, mdsi2 b and c, mdsi3 and mdsi4 a and b, gradient1 two as a,
-    gradient2 two as b; csi needs a_delayed, dcsi ab_delayed: their windows once for each laser delay (simulation)."""
+    gradient2 two as b; csi needs a_delayed, shifted b_delayed, dcsi ab_delayed: their windows once for each laser delay
+    (simulation)."""
+    shutter_order: Literal["sequential", "alternating"] = "sequential"
+    """sequential: all pulses of a window, then all of the next; alternating: pulse by pulse, which needs a memory for
+    each window (simulation; König 2008, chapter 8)."""
     averages: PositiveInt = 1
     """Images averaged into one (n_av of König 2008, 4.1.5)."""
 
@@ -121,6 +150,10 @@ class PulsedCamera:
     """Length of the rising edge; the laser of the thesis has 60 ns (König 2008, 4.2.2.1)."""
     pulse_fall_s: NonNegative = 0.0
     """Length of the falling edge; the laser of the thesis has 30 ns."""
+    pulse_edges: Literal["straight", "rounded"] = "straight"
+    """rounded: edges of the pulse as half a period of a cosine, without corners (fig 4.9)."""
+    pulse_rounding: Fraction = 0.0
+    """Part of its height by which the plateau of the pulse is lower at its ends than in the middle (fig 4.9). *open*"""
     laser_delay_s: float = 0.0
     """T_DL: delay of the laser pulse."""
     shutter_delay_s: float = 0.0
@@ -135,16 +168,19 @@ class PulsedCamera:
     gating_s: NonNegative = 0.0
     """T_G: how long after window b window b1 opens; what returns earlier is not seen (eq 5.11)."""
     delay_first_s: float = -200e-9
-    """csi, dcsi: the first delay of the laser, beside `laser_delay_s`; negative where the shutter waits. *open*"""
+    """csi, dcsi, shifted: the first delay of the laser, beside `laser_delay_s`; negative where the shutter waits.
+    *open*"""
     delay_step_s: Positive = 20e-9
-    """csi, dcsi: from one laser delay to the next. *open*"""
-    delay_count: Annotated[int, Interval(ge=3, le=100)] = 19
-    """csi, dcsi: number of laser delays. *open*"""
+    """csi, dcsi, shifted: from one laser delay to the next. *open*"""
+    delay_count: Annotated[int, Interval(ge=3, le=1000)] = 19
+    """csi, dcsi, shifted: number of laser delays. *open*"""
     linear_part_s: Positive = 120e-9
     """dcsi: length of the middle part of the difference curve to which the line is fitted; 126 ns of the measured
     shapes are linear (N-K-048)."""
     shutter_edge_s: NonNegative = 0.0
     """Length of both edges of a window, which end with the switch; the sensor of the thesis has 60-70 ns (4.2.1.2)."""
+    shutter_opening_s: NonNegative | None = None
+    """Length of the opening edge alone; none: as the other. The sensor before that of the thesis has 300 ns (5.1.3)."""
     gate_width_s: Positive | None = None
     """Width of each gate of a three-tap sensor; none: as long as the pulse."""
     pulse_lead_s: NonNegative = 0.0
@@ -178,4 +214,7 @@ class PulsedCamera:
     objective: Objective = Objective()
     laser: Laser = Laser()
     pixel: Pixel = Pixel()
+    sequencer: Sequencer = Sequencer()
+    crosstalk: Crosstalk = Crosstalk()
+    background: Background = Background()
     taps: Taps = Taps()
