@@ -1,11 +1,14 @@
 """The pulsed family: short light pulses, integrated in shutter windows or gates (König 2008)."""
 
-from rangecam.pulsed import delays, ranging
+from rangecam.pulsed import delays, ranging, saturation
 from rangecam.pulsed.calibrated import PLANES, calibrated, made_for
 from rangecam.pulsed.camera import simulate
+from rangecam.pulsed.feasible import check, warnings_of
 from rangecam.pulsed.settings import PulsedCamera
+from rangecam.pulsed.uncrossed import without_crosstalk
 
-RANGING = {name: calibrated(method) for name, method in {**ranging.RANGING, **delays.RANGING}.items()}
-"""Ranging methods of pulsed cameras by name; they apply the calibration that a frame carries."""
+_METHODS = {**ranging.RANGING, **delays.RANGING, **saturation.RANGING}
+RANGING = {name: calibrated(without_crosstalk(method)) for name, method in _METHODS.items()}
+"""Ranging methods of pulsed cameras by name; they apply the calibration that a frame carries, then take off crosstalk."""
 
-__all__ = ["PLANES", "RANGING", "PulsedCamera", "made_for", "simulate"]
+__all__ = ["PLANES", "RANGING", "PulsedCamera", "check", "made_for", "simulate", "warnings_of"]

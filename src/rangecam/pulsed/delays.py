@@ -21,7 +21,7 @@ from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
 _APEX_STEPS = 101
 
 
-class _Samples(NamedTuple):
+class Samples(NamedTuple):
     """Shutter values and their variances, V and V2 (S, H, W); what one pulse of them is (H, W); why refused (H, W)."""
 
     value_v: Floats
@@ -39,7 +39,7 @@ def gradient1(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     step_s = closes - second[1]
     nearest_s = max(opens, closes - camera.pulse_width_s) - camera.laser_delay_s
     limits_m = range_limits(camera, nearest_s, second[1] - camera.laser_delay_s)
-    samples = _read(raw, camera, ("shutter_a1", "shutter_a2"), [closes - opens, second[1] - second[0]])
+    samples = read_samples(raw, camera, ("shutter_a1", "shutter_a2"), [closes - opens, second[1] - second[0]])
     return _gradient(raw, camera, samples, closes - camera.laser_delay_s, -step_s, limits_m)
 
 
@@ -53,7 +53,7 @@ def gradient2(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     per_second = camera.speed_of_light_mps / 2
     gated_m, full_m, farthest_m = gating_ranges_m(camera)
     limits_m = range_limits(camera, full_m / per_second, farthest_m / per_second)
-    samples = _read(raw, camera, ("shutter_b1", "shutter_b2"), [first[1] - first[0], second[1] - second[0]])
+    samples = read_samples(raw, camera, ("shutter_b1", "shutter_b2"), [first[1] - first[0], second[1] - second[0]])
     return _gradient(raw, camera, samples, gated_m / per_second, second[0] - first[0], limits_m)
 
 
@@ -73,7 +73,7 @@ def gating_ranges_m(camera: PulsedCamera) -> tuple[float, float, float]:
 def _gradient(
     raw: RawFrame,
     camera: PulsedCamera,
-    samples: _Samples,
+    samples: Samples,
     start_s: float,
     step_s: float,
     limits_m: tuple[float, float, float],
@@ -95,8 +95,8 @@ def _gradient(
     clear = distance_m + margin_m <= end_m if step_s < 0 else distance_m - margin_m >= low_m
     inside = (low_m <= distance_m) & (distance_m <= high_m) & clear
     whole_v = apart_v * (camera.pulse_width_s / abs(step_s))
-    enough = _enough(whole_v, apart_v, apart_v2, camera)
-    return _image(raw, samples, distance_m, sigma_m, whole_v, enough, inside)
+    enough = strong_enough(whole_v, apart_v, apart_v2, camera)
+    return compose(raw, samples, distance_m, sigma_m, whole_v, enough, inside)
 
 
 def csi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
@@ -110,11 +110,11 @@ def csi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     (opens, closes), delays_s = shutter_windows(camera)["a"], laser_delays(camera)
     count, step_s = camera.delay_count, camera.delay_step_s
     names = tuple(f"shutter_a_{i}" for i in range(count))
-    samples = _read(raw, camera, names, [closes - opens] * count)
+    samples = read_samples(raw, camera, names, [closes - opens] * count)
     at = samples.value_v.argmax(axis=0)
     middle = np.clip(at, 1, count - 2)
     (left_v, left_v2), (top_v, top_v2), (right_v, right_v2) = (
-        (_pick(samples.value_v, middle + k), _pick(samples.variance_v2, middle + k)) for k in (-1, 0, 1)
+        (pick(samples.value_v, middle + k), pick(samples.variance_v2, middle + k)) for k in (-1, 0, 1)
     )
     fall_v = top_v - np.minimum(left_v, right_v)
     fall_v2 = top_v2 + np.where(left_v < right_v, left_v2, right_v2)
@@ -130,7 +130,7 @@ def csi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     low_m, high_m, _ = range_limits(camera, base_s - delays_s[-2] - step_s / 2, base_s - delays_s[1] + step_s / 2)
     inside = (at == middle) & (low_m <= distance_m) & (distance_m <= high_m)
     most_v = top_v + np.abs(shift) * fall_v
-    return _image(raw, samples, distance_m, sigma_m, most_v, _enough(most_v, fall_v, fall_v2, camera), inside)
+    return compose(raw, samples, distance_m, sigma_m, most_v, strong_enough(most_v, fall_v, fall_v2, camera), inside)
 
 
 def _apex_shift(left: Floats, top: Floats, right: Floats) -> Floats:
@@ -149,7 +149,7 @@ def _apex_error_s(camera: PulsedCamera) -> float:
     true_s = base_s + step_s * np.linspace(-0.5, 0.5, _APEX_STEPS)
     values = np.interp(delays_s + true_s, *correlation_curve(window, camera))
     middle = np.clip(values.argmax(axis=0), 1, len(values) - 2)
-    left, top, right = (_pick(values, middle + k) for k in (-1, 0, 1))
+    left, top, right = (pick(values, middle + k) for k in (-1, 0, 1))
     found_s = base_s - (delays_s[middle, 0] + step_s * _apex_shift(left, top, right))
     return float(np.sqrt(np.mean((found_s - true_s) ** 2)))
 
@@ -166,7 +166,7 @@ def dcsi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     used = _points_of_line(camera)
     names = tuple(f"shutter_{name}_{i}" for name in "ab" for i in range(count))
     widths_s = [closes - opens for name in "ab" for opens, closes in [windows[name]] * count]
-    samples = _read(raw, camera, names, widths_s)
+    samples = read_samples(raw, camera, names, widths_s)
     apart_v = samples.value_v[:count] - samples.value_v[count:]
     apart_v2 = samples.variance_v2[:count] + samples.variance_v2[count:]
     found, crossing = _change_of_sign(apart_v)
@@ -174,7 +174,7 @@ def dcsi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     inside = found & (start >= 0) & (start <= count - used)
     start = np.clip(start, 0, count - used)
     x_s = step_s * np.arange(used)
-    y_v, y_v2 = (np.stack([_pick(plane, start + i) for i in range(used)]) for plane in (apart_v, apart_v2))
+    y_v, y_v2 = (np.stack([pick(plane, start + i) for i in range(used)]) for plane in (apart_v, apart_v2))
     zero_s, by_y, slope = zero_crossing(x_s, y_v)
     weight = (x_s - x_s.mean()) / ((x_s - x_s.mean()) ** 2).sum()
     slope_variance = np.tensordot(weight**2, y_v2, axes=1)
@@ -188,10 +188,10 @@ def dcsi(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
     inside &= (low_m <= distance_m) & (distance_m <= high_m)
     whole_v = -slope * camera.pulse_width_s / 2
     top = samples.value_v.argmax(axis=0)
-    top_v, top_v2 = _pick(samples.value_v, top), _pick(samples.variance_v2, top)
-    seen = _enough(top_v, top_v, top_v2, camera)  # of light whose change of sign lies outside of the delays
-    enough = np.where(found, _enough(whole_v, -slope, slope_variance, camera), seen)
-    return _image(raw, samples, distance_m, sigma_m, whole_v, enough, inside)
+    top_v, top_v2 = pick(samples.value_v, top), pick(samples.variance_v2, top)
+    seen = strong_enough(top_v, top_v, top_v2, camera)  # of light whose change of sign lies outside of the delays
+    enough = np.where(found, strong_enough(whole_v, -slope, slope_variance, camera), seen)
+    return compose(raw, samples, distance_m, sigma_m, whole_v, enough, inside)
 
 
 def zero_crossing(x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -227,18 +227,18 @@ def _change_of_sign(values: Floats) -> tuple[NDArray[np.bool_], Floats]:
     index = np.arange(len(values))[:, None, None]
     after = (values <= 0) & (index > values.argmax(axis=0))
     second = np.maximum(after.argmax(axis=0), 1)
-    above, below = _pick(values, second - 1), _pick(values, second)
+    above, below = pick(values, second - 1), pick(values, second)
     found: NDArray[np.bool_] = after.any(axis=0) & (above > below)
     return found, second - np.where(found, below / np.where(found, below - above, 1.0), 0.0)
 
 
-def _pick(values: Floats, index: NDArray[np.intp]) -> Floats:
+def pick(values: Floats, index: NDArray[np.intp]) -> Floats:
     """Return the values (N, ...) at `index` (...) of their first axis."""
     picked: Floats = np.take_along_axis(values, index[None], axis=0)[0]
     return picked
 
 
-def _read(raw: RawFrame, camera: PulsedCamera, names: tuple[str, ...], widths_s: list[float]) -> _Samples:
+def read_samples(raw: RawFrame, camera: PulsedCamera, names: tuple[str, ...], widths_s: list[float]) -> Samples:
     """Return the planes of these names and their noise; widths_s: of the windows. Pixels refused already are 0."""
     needed = (*names, "n_acc")
     value_v = np.stack([image_plane(raw, name, needed) for name in names]).astype(np.float64)
@@ -256,10 +256,10 @@ def _read(raw: RawFrame, camera: PulsedCamera, names: tuple[str, ...], widths_s:
     value_v, n = np.where(known, value_v, 0.0), np.where(known, n_acc, 1).astype(np.float64)
     ambient_v = np.where(known, np.maximum(ambient_vps, 0.0), 0.0) * np.reshape(widths_s, (-1, 1, 1))
     variance_v2 = (noise_variance(value_v, n, ambient_v, pixel) + step_v(pixel) ** 2 / 12) / camera.averages
-    return _Samples(value_v, variance_v2, 1 / (damping(n, pixel) * n), why)
+    return Samples(value_v, variance_v2, 1 / (damping(n, pixel) * n), why)
 
 
-def _enough(whole_v: Floats, measured: Floats, variance: Floats, camera: PulsedCamera) -> NDArray[np.bool_]:
+def strong_enough(whole_v: Floats, measured: Floats, variance: Floats, camera: PulsedCamera) -> NDArray[np.bool_]:
     """Return where the whole signal exceeds its threshold, and the difference that it comes from its noise."""
     enough: NDArray[np.bool_] = (
         (measured > 0) & (whole_v >= camera.pixel.noise_threshold_v) & (measured**2 >= camera.min_snr**2 * variance)
@@ -267,9 +267,9 @@ def _enough(whole_v: Floats, measured: Floats, variance: Floats, camera: PulsedC
     return enough
 
 
-def _image(
+def compose(
     raw: RawFrame,
-    samples: _Samples,
+    samples: Samples,
     distance_m: Floats,
     sigma_m: Floats,
     whole_v: Floats,

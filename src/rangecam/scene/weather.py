@@ -122,8 +122,8 @@ def in_weather(
     - a water drop mirrors the camera's own light in a point: R0/4 times the part of the pixel's footprint that it would
       cover, with 1 + (1 - R0)^2 (n / (2 - n))^2 for its rear. Its light falls with the fourth power of the range
       (E-K-14), however near: a point fills no pixel. Only blur, which is the camera's, ends that.
-    - a flake is a Lambertian ball: its reflectivity times the part of the footprint that it covers, with 2/3 of a plate's
-      light. That is the fourth power while it is smaller than the pixel's footprint, and the square where it is larger.
+    - a flake is a Lambertian ball: its reflectivity times the part of the footprint that it covers, with 2/3 of the
+      light of a plate. That is the fourth power while it is smaller than the footprint, and the square where larger.
     Everything is dimmed by exp(-2 extinction range). No drop hides what is behind it but by that: near drops are much
     smaller than the aperture of the lens, far ones than the footprint.
     """
