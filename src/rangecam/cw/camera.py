@@ -22,8 +22,8 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     with several `exposure_samples` what moves within one exposure is blurred. Noise is Gaussian with `sample_variance`;
     then rounding and limits of the converter, and the way over the interface. The planes are uint16 where the
     converter's limits and step allow, else float32. Noise is drawn first and is the same whatever imperfection is on.
-    Raises UsageError if `cw.sequence.exposures` does, if the camera cannot be that fast, if the region of interest
-    leaves the image, or for bit errors in samples that are not whole numbers.
+    Raises UsageError if `cw.sequence.exposures` does, if the camera cannot be that fast, or if the region of
+    interest leaves the image.
     """
     fastest_hz = fastest_frame_rate_hz(camera)
     if camera.frame_rate_hz > fastest_hz:
@@ -37,8 +37,7 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
         sample, light = respond(_expose(seen, exposure, middle_s), exposure.camera)
         noise = rng.standard_normal(sample.shape, np.float32) * np.sqrt(sample_variance(light, camera))
         planes[exposure.plane] = _read_out(sample + noise, camera)
-    bits = int(camera.full_scale_lsb or 0).bit_length()
-    return RawFrame(time_s, {name: transfer(planes[name], camera.link, bits, rng) for name in plane_names(camera)})
+    return RawFrame(time_s, {name: transfer(planes[name], camera.link, rng) for name in plane_names(camera)})
 
 
 def _seen_at(view: Callable[[float], View], time_s: float) -> Callable[[float], View]:

@@ -117,3 +117,5 @@ class Link:
     one column to the left, and the row ends with zeros."""
     bit_error_probability: Fraction = 0.0
     """Probability that crosstalk turns over a bit of a sample."""
+    bits: Annotated[int, Interval(ge=1, le=16)] = 12
+    """Data lines of the interface (S-PIF-01)."""

@@ -3,41 +3,37 @@
 import numpy as np
 
 from rangecam.cw.effects import Link
-from rangecam.errors import UsageError
 from rangecam.types import Image
 
 
-def transfer(plane: Image, link: Link, bits: int, rng: np.random.Generator) -> Image:
-    """Return a plane (H, W) as it arrives over the interface.
-
-    bits: width of the data lines, each of which may be wrong. Raises UsageError if the samples are not whole numbers
-    of a converter, of which alone single bits can be wrong.
-    """
+def transfer(plane: Image, link: Link, rng: np.random.Generator) -> Image:
+    """Return a plane (H, W) as it arrives over the interface; what is wrong follows from `rng` alone."""
     if link.bit_error_probability:
-        plane = _with_bit_errors(plane, link.bit_error_probability, bits, rng)
+        plane = _with_bit_errors(plane, link, rng)
     if link.missed_clock_probability:
         plane = _with_missed_clocks(plane, link.missed_clock_probability, rng)
     return plane
 
 
-def _with_bit_errors(plane: Image, probability: float, bits: int, rng: np.random.Generator) -> Image:
-    if plane.dtype != np.uint16:
-        raise UsageError(
-            "camera.link.bit_error_probability: only whole numbers have bits; set quantisation_lsb, lower_limit_lsb "
-            "and full_scale_lsb to those of a converter"
-        )
-    count = rng.binomial(bits * plane.size, probability)
-    places = rng.choice(bits * plane.size, count, replace=False, shuffle=False)
-    result = plane.ravel().copy()
-    np.bitwise_xor.at(result, places // bits, (1 << (places % bits)).astype(np.uint16))
-    return result.reshape(plane.shape)
+def _with_bit_errors(plane: Image, link: Link, rng: np.random.Generator) -> Image:
+    """Turn over bits of the nearest whole number; what a sample without rounding has beyond that stays."""
+    count = rng.binomial(link.bits * plane.size, link.bit_error_probability)
+    places = rng.choice(link.bits * plane.size, count, replace=False, shuffle=False)
+    turned = np.zeros(plane.size, np.int64)
+    np.bitwise_xor.at(turned, places // link.bits, 1 << (places % link.bits))
+    sent = np.clip(np.round(plane), 0, 2**link.bits - 1).astype(np.int64)
+    arrived = sent ^ turned.reshape(plane.shape)
+    result: Image = (plane + (arrived - sent)).astype(plane.dtype)
+    return result
 
 
 def _with_missed_clocks(plane: Image, probability: float, rng: np.random.Generator) -> Image:
-    """Keep the pixels whose clock edge was seen, moved together to the left of each row."""
-    seen = rng.random(plane.shape, np.float32) >= probability
-    result = np.zeros_like(plane)
-    column = np.cumsum(seen, axis=1) - 1
-    rows = np.broadcast_to(np.arange(len(plane))[:, None], plane.shape)
-    result[rows[seen], column[seen]] = plane[seen]
+    """Move together to the left, in the rows concerned, the pixels whose clock edge was seen."""
+    count = rng.binomial(plane.size, probability)
+    missed = rng.choice(plane.size, count, replace=False, shuffle=False)
+    rows, columns = np.divmod(missed, plane.shape[1])
+    result = plane.copy()
+    for row in np.unique(rows):
+        seen = np.delete(plane[row], columns[rows == row])
+        result[row, : len(seen)], result[row, len(seen) :] = seen, 0
     return result
