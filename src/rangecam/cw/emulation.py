@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from rangecam.settings import Fraction, PositiveInt, settings
+from rangecam.settings import Fraction, Positive, PositiveInt, settings
 
 
 @settings
@@ -14,6 +14,8 @@ class Emulation:
     word_shift: Annotated[int, Interval(ge=0, le=15)] = 4
     """Places by which a sample moves up into a word of 16 bits: 4 for the sensor's 12 bits at the high end of the
     camera interface (S-PIF-01), 0 for recordings of such words."""
+    speed_of_light_mps: Positive = 3e8
+    """With which the range factor was computed: 3e8 makes the distances of 0 to 8823 mm (N-S-003), 0.07 % too long."""
     angles: Literal["table", "lens"] = "table"
     """Angles of the pixels for the camera angle conversion: table: equal steps from the middle of the image, a cosine
     table for rows and columns (Steinbäck 2016, eqs 3.15-3.16, N-S-027); lens: those of the lens (S-PRE-02)."""
@@ -31,7 +33,7 @@ class Emulation:
     fill_holes: bool = False
     """Let the median give discarded pixels a value, too, where it finds any; *open*: the thesis does not say."""
     border: Literal["discard", "keep"] = "discard"
-    """What becomes of the outermost rows and columns, which both filters pass over; *open*: `discard` marks them, `keep`
-    leaves them as the thresholds did."""
+    """What becomes of the outermost rows and columns, which both filters pass over; *open*: `discard` marks them,
+    `keep` leaves them as the thresholds did."""
     marker_mm: Annotated[int, Interval(gt=0, le=65535)] = 12500
-    """The distance that says discarded; must lie beyond the unambiguous range (E-S-20: use 65535 at 12 MHz and less)."""
+    """The distance that says discarded; it must lie beyond the unambiguous range (E-S-20: 65535 at 12 MHz and less)."""

@@ -1,8 +1,7 @@
 """The registers of the continuous-wave sensor: what a list of writes makes the camera do, and which writes make it so.
 
-Names and values are those of Steinbäck 2016, A.10, where no address is printed; addresses and the fields of the PLL
-words are those of public register maps of the same family of sensors, and all three stated frequencies confirm them
-(N-S-021). Registers without a meaning here (pads, references, interface) are known and taken, and change nothing.
+The fields of the PLL words are those that are public for the same family of sensors; all three frequencies that the
+thesis states confirm them (N-S-021).
 """
 
 import math
@@ -10,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from rangecam.cw.register_map import ADDRESSES, LAST_ENTRY, NAMES, OF_AN_ENTRY, PRINTED
 from rangecam.cw.sequence import exposures, fastest_frame_rate_hz
 from rangecam.cw.settings import CwCamera, Register
 from rangecam.errors import UsageError, did_you_mean
@@ -28,72 +28,6 @@ FRAME_DELAY_TICK_S = (1 / 30 - 4 * 3.23e-3) / 0x1000
 exposures of 2 ms and their read-out; a sister sensor counts 7.68 us (N-S-022)."""
 
 _REFERENCE_HZ = 26e6
-_LAST_ENTRY = 31
-_PADS = {f"ANAIP_PADGPIOCFG{k}": 0xB00E + k for k in range(12)}
-_ANALOGUE = {
-    "ANAIP_SENSEN": 0xB002,
-    "ANAIP_GPIOMUX5": 0xB008,
-    "ANAIP_GPIOMUX7": 0xB00A,
-    "ANAIP_ADCBG1": 0xB01C,
-    "ANAIP_ADCEN": 0xB01E,
-    "ANAIP_ADCRESET": 0xB01F,
-    "ANAIP_PIXIFEN": 0xB041,
-    "ANAIP_PIXREFBGEN": 0xB042,
-    "ANAIP_PIXREFEN": 0xB043,
-    "ANAIP_PLLBGEN": 0xB048,
-    "ANAIP_PSPADCFG": 0xB086,
-    "ANAIP_VMODREG": 0xB0A2,
-}
-_OF_AN_ENTRY = ("EXPOTIME", "FRAMERATE", "PS", "PLLSET")
-_ENTRIES = {
-    f"CFGCNT_S{k:02}_{name}": 0xA800 + 4 * k + i for k in range(_LAST_ENTRY + 1) for i, name in enumerate(_OF_AN_ENTRY)
-}
-_COUNTER = (
-    *("TRIG", "STATUS", "CSICFG", "PIFCCFG", "PIFTCFG", "BINCFG", "ROICMINREG", "ROICMAXREG", "ROIRMINREG"),
-    *("ROIRMAXREG", "ROS1", "ROS2", "IFDEL", "CTRLSEQ", "EXPCFG1", "EXPCFG2", "EXPCFG3", "EXPCFG4", "PSOUT"),
-    *(f"PLLCFG{i}_LUT{k}" for k in (1, 2, 3, 4) for i in (1, 2, 3)),
-)
-ADDRESSES: Mapping[str, int] = {
-    **_ANALOGUE,
-    **_PADS,
-    **_ENTRIES,
-    **{f"CFGCNT_{name}": 0xA880 + i for i, name in enumerate(_COUNTER)},
-    "MTCU_POWERCTRL": 0x9813,
-    "PIF_PIFHSIZE": 0x8001,
-    "PIF_PIFVSIZE": 0x8002,
-}
-"""Address of each register by name, 16 bits."""
-_NAMES = {address: name for name, address in ADDRESSES.items()}
-
-_ANALOGUE_LIST = (
-    *(("SENSEN", 0x00FF), ("GPIOMUX5", 0x0180), ("GPIOMUX7", 0x018D)),
-    *((f"PADGPIOCFG{k}", 0x1515) for k in range(6)),
-    *(("PADGPIOCFG6", 0x1315), ("PADGPIOCFG7", 0x1513), ("PADGPIOCFG8", 0x1515), ("PADGPIOCFG9", 0x0415)),
-    *(("PADGPIOCFG10", 0x0404), ("PADGPIOCFG11", 0x0004), ("ADCBG1", 0x0003), ("ADCEN", 0xFFFF), ("ADCRESET", 0x0001)),
-    *(("PIXIFEN", 0xFFFF), ("PIXREFBGEN", 0x0003), ("PIXREFEN", 0xFFFF), ("PLLBGEN", 0x0001), ("PSPADCFG", 0x1513)),
-    ("VMODREG", 0x0007),
-)
-_SEQUENCE_LIST = tuple(
-    (f"S{k:02}_{name}", value)
-    for k, (delay, phase) in enumerate([(0, 0x0000), (0, 0x0888), (0, 0x0444), (0x1000, 0x0CCC)])
-    for name, value in zip(_OF_AN_ENTRY, (0x109A, delay, phase, 0x0002), strict=True)
-)
-_COUNTER_LIST = (
-    *(("TRIG", 0x0000), ("STATUS", 0x0000), ("CSICFG", 0x0080), ("PIFCCFG", 0x1050), ("PIFTCFG", 0x0000)),
-    *(("BINCFG", 0x0005), ("ROICMINREG", 0x0010), ("ROICMAXREG", 0x014F), ("ROIRMINREG", 0x0018)),
-    *(("ROIRMAXREG", 0x0107), ("ROS1", 0x0006), ("ROS2", 0x0060), ("IFDEL", 0x4088), ("CTRLSEQ", 0x0003)),
-    *(("EXPCFG1", 0x0380), ("EXPCFG2", 0x000F), ("EXPCFG3", 0x1E0A), ("EXPCFG4", 0x1C05), ("PSOUT", 0x0313)),
-    *(("PLLCFG1_LUT1", 0x466D), ("PLLCFG2_LUT1", 0xEC4F), ("PLLCFG3_LUT1", 0x0BC4)),
-    *(("PLLCFG1_LUT2", 0x2241), ("PLLCFG2_LUT2", 0x13B2), ("PLLCFG3_LUT2", 0x03BB)),
-    *(("PLLCFG1_LUT3", 0x6449), ("PLLCFG2_LUT3", 0x2762), ("PLLCFG3_LUT3", 0x03F6)),
-    *(("PLLCFG1_LUT4", 0x4059), ("PLLCFG2_LUT4", 0xC4ED), ("PLLCFG3_LUT4", 0x13CE)),
-)
-PRINTED: tuple[tuple[str, int], ...] = (
-    *((f"ANAIP_{name}", value) for name, value in _ANALOGUE_LIST),
-    *((f"CFGCNT_{name}", value) for name, value in (*_SEQUENCE_LIST, *_COUNTER_LIST)),
-    *(("MTCU_POWERCTRL", 0x1408), ("PIF_PIFHSIZE", 0x00A0), ("PIF_PIFVSIZE", 0x0078)),
-)
-"""The list that is sent before the first image (Steinbäck 2016, A.10; N-S-053)."""
 
 
 def apply(writes: Iterable[Register] | str, camera: CwCamera) -> CwCamera:
@@ -138,7 +72,7 @@ def encode(camera: CwCamera) -> list[tuple[str, int]]:
     """
     contents = dict(PRINTED)
     for k in range(4):
-        for name in _OF_AN_ENTRY:
+        for name in OF_AN_ENTRY:
             del contents[f"CFGCNT_S{k:02}_{name}"]
     presets = _presets(sorted({each.camera.modulation_hz for each in exposures(camera)}), contents)
     for k, each in enumerate(exposures(camera)):
@@ -153,8 +87,8 @@ def encode(camera: CwCamera) -> list[tuple[str, int]]:
         }
         contents |= {f"CFGCNT_S{k:02}_{name}": value for name, value in values.items()}
     last = len(exposures(camera)) - 1
-    if last > _LAST_ENTRY:
-        raise UsageError(f"camera: {last + 1} exposures a frame; the sensor makes up to {_LAST_ENTRY + 1}")
+    if last > LAST_ENTRY:
+        raise UsageError(f"camera: {last + 1} exposures a frame; the sensor makes up to {LAST_ENTRY + 1}")
     pause_s = 1 / camera.frame_rate_hz - 1 / fastest_frame_rate_hz(camera)
     contents[f"CFGCNT_S{last:02}_FRAMERATE"] = _whole(
         "frame_rate_hz", camera.frame_rate_hz, pause_s / FRAME_DELAY_TICK_S
@@ -167,7 +101,7 @@ def _checked(writes: Iterable[Register]) -> dict[str, int]:
     """Return what stands in the registers that were written, by name; the last write to each counts."""
     contents: dict[str, int] = {}
     for register, value in writes:
-        name = _NAMES.get(register) if isinstance(register, int) else register
+        name = NAMES.get(register) if isinstance(register, int) else register
         if name not in ADDRESSES:
             what = (
                 f"0x{register:04X}" if isinstance(register, int) else f"{register!r}{did_you_mean(register, ADDRESSES)}"
@@ -186,17 +120,17 @@ def _fields(contents: Contents, camera: CwCamera) -> dict[str, Any]:
 
 def _sequence_fields(contents: Contents, camera: CwCamera) -> dict[str, Any]:
     last = contents["CFGCNT_CTRLSEQ"]
-    if last > _LAST_ENTRY:
-        raise _impossible("CFGCNT_CTRLSEQ", last, f"a last entry of 0 to {_LAST_ENTRY}")
+    if last > LAST_ENTRY:
+        raise _impossible("CFGCNT_CTRLSEQ", last, f"a last entry of 0 to {LAST_ENTRY}")
     missing = [
-        f"CFGCNT_S{k:02}_{n}" for k in range(last + 1) for n in _OF_AN_ENTRY if f"CFGCNT_S{k:02}_{n}" not in contents
+        f"CFGCNT_S{k:02}_{n}" for k in range(last + 1) for n in OF_AN_ENTRY if f"CFGCNT_S{k:02}_{n}" not in contents
     ]
     if missing:
         raise UsageError(
             f"camera.registers: CFGCNT_CTRLSEQ = {last} asks for {last + 1} entries; {missing[0]} was not written"
         )
     exposure, delay, phase, preset = (
-        [contents[f"CFGCNT_S{k:02}_{name}"] for k in range(last + 1)] for name in _OF_AN_ENTRY
+        [contents[f"CFGCNT_S{k:02}_{name}"] for k in range(last + 1)] for name in OF_AN_ENTRY
     )
     hertz = [_preset_hz(contents, k, each) for k, each in enumerate(preset)]
     frequencies = list(dict.fromkeys(hertz))
@@ -230,18 +164,16 @@ def _image_fields(contents: Contents, camera: CwCamera) -> dict[str, Any]:
         first, last = contents[f"CFGCNT_ROI{axis}MINREG"], contents[f"CFGCNT_ROI{axis}MAXREG"]
         if not first < last < limit or (last - first + 1) % binning:
             raise UsageError(
-                f"camera.registers: CFGCNT_ROI{axis}MINREG = {first}, CFGCNT_ROI{axis}MAXREG = {last}: expected a region "
-                f"within 0 to {limit - 1} of a multiple of {binning}"
+                f"camera.registers: CFGCNT_ROI{axis}MINREG = {first}, CFGCNT_ROI{axis}MAXREG = {last}: expected a "
+                f"region within 0 to {limit - 1} of a multiple of {binning}"
             )
         if abs(first - (limit - 1 - last)) > 1:
             raise UsageError(
-                f"camera.registers: region {first} to {last} of {limit}: expected one in the middle, where the lens looks"
+                f"camera.registers: region {first} to {last} of {limit}: expected one in the middle of the lens' view"
             )
         sizes.append((last - first + 1) // binning)
         if contents[size_register] != sizes[-1]:
-            raise _impossible(
-                size_register, contents[size_register], f"{sizes[-1]}, the size of the region after binning"
-            )
+            raise _impossible(size_register, contents[size_register], f"{sizes[-1]}, the region after binning")
     lens = _cut_lens(camera.lens, sizes[1] * binning, camera.columns * camera.binning, sizes[0] * binning, camera)
     return {"rows": sizes[0], "columns": sizes[1], "binning": binning, "lens": lens}
 
@@ -303,7 +235,7 @@ def modulation_hz(words: Sequence[int]) -> float:
 
 
 def pll_words(hertz: float) -> tuple[int, int, int]:
-    """Return the three words of a PLL preset for a modulation frequency; raises UsageError if the sensor has no such."""
+    """Return the three words of a PLL preset for a modulation frequency; raises UsageError if there is no such."""
     out_hz = 4 * _selectable(hertz)
     halvings = math.floor(math.log2(4 * HIGHEST_HZ / out_hz)) + 1
     divider = out_hz * 2**halvings / (_REFERENCE_HZ / 2)
@@ -363,6 +295,10 @@ def _whole(key: str, value: float, counts: float) -> int:
     if not 0 <= round(counts) <= 0xFFFF or (key == "illumination_time_s" and round(counts) == 0):
         raise UsageError(f"camera.{key} = {value:g}: the register would hold {counts:.4g}; it has 16 bits")
     return round(counts)
+
+
+def _told(register: str | int) -> str:
+    return f"0x{register:04X}" if isinstance(register, int) else f"'{register}'{did_you_mean(register, ADDRESSES)}"
 
 
 def _impossible(register: str, value: int, expected: str) -> UsageError:
