@@ -166,4 +166,6 @@ def mode_switching(dt_s: float, count: int, memory_s: float) -> Floats:
     if count == 1:
         return np.ones((1, 1))
     kept = math.exp(-dt_s / memory_s * count / (count - 1))
-    return kept * np.eye(count) + (1 - kept) / count
+    switching = np.full((count, count), (1 - kept) / count)
+    switching.flat[:: count + 1] += kept
+    return switching

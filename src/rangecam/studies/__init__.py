@@ -5,6 +5,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - figure: how a study is drawn
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
 - pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
+- tracking_models: the motion models side by side
 """
 
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from rangecam.studies.pulsed_methods import pulsed_methods
 from rangecam.studies.pulsed_noise import pulsed_noise
 from rangecam.studies.pulsed_optics import pulsed_optics
 from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table, verdicts
+from rangecam.studies.tracking_models import tracking_models
 
 STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-optics": pulsed_optics,
@@ -28,6 +30,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-methods": pulsed_methods,
     "pulsed-distance": pulsed_distance,
     "eye-safety": eye_safety,
+    "tracking-models": tracking_models,
 }
 """Studies by name."""
 

@@ -134,20 +134,18 @@ def _mix(old: tuple[Floats, Floats, Floats], switching: Floats, new: tuple[Float
 @njit(cache=True, nogil=True)
 def _moments(mu: Floats, modes: Floats, spreads: Floats, x: Floats, P: Floats) -> None:
     """Write mean and covariance of the mixture: each mode's own covariance, and how far its mean is from the mean."""
-    n, K = mu.shape
-    for i in range(n):
-        for a in range(9):
-            x[i, a] = 0.0
-            for k in range(K):
+    for i in range(mu.shape[0]):
+        x[i] = 0.0
+        P[i] = 0.0
+        for k in range(mu.shape[1]):
+            for a in range(9):
                 x[i, a] += mu[i, k] * modes[i, k, a]
-        for a in range(9):
-            for b in range(a, 9):
-                total = 0.0
-                for k in range(K):
-                    apart = (modes[i, k, a] - x[i, a]) * (modes[i, k, b] - x[i, b])
-                    total += mu[i, k] * (spreads[i, k, a, b] + apart)
-                P[i, a, b] = total
-                P[i, b, a] = total
+        for k in range(mu.shape[1]):
+            weight = mu[i, k]
+            for a in range(9):
+                apart = weight * (modes[i, k, a] - x[i, a])
+                for b in range(9):
+                    P[i, a, b] += weight * spreads[i, k, a, b] + apart * (modes[i, k, b] - x[i, b])
 
 
 @njit(cache=True, nogil=True)
@@ -163,7 +161,8 @@ def _update_modes(
     Without a measurement the probabilities stay as the switching left them: nothing was seen that speaks for a mode.
     """
     (mu, modes, spreads), (x, P) = predicted, mean
-    S, V = np.empty((3, 3)), np.empty((3, 3))
+    room = _room()
+    S, V = room[0], room[1]
     likelihood = np.empty(mu.shape[1])
     for i in range(took.size):
         nis[i] = np.nan
@@ -174,12 +173,14 @@ def _update_modes(
         _invert(S, V)
         nis[i] = _squared_distance(x[i], V, z)
         for k in range(mu.shape[1]):
-            squared, determinant = _correct(modes[i, k], spreads[i, k], z, R, measured[2])
+            squared, determinant = _correct(modes[i, k], spreads[i, k], z, R, measured[2], room)
             likelihood[k] = -0.5 * (squared + math.log(determinant))
-        likelihood = np.exp(likelihood - likelihood.max()) * mu[i]
+        best, total = likelihood.max(), 0.0
         for k in range(mu.shape[1]):
-            mu[i, k] = max(likelihood[k] / likelihood.sum(), _LEAST_PROBABLE)
-        mu[i] /= mu[i].sum()
+            mu[i, k] = max(mu[i, k] * math.exp(likelihood[k] - best), _LEAST_PROBABLE)
+            total += mu[i, k]
+        for k in range(mu.shape[1]):
+            mu[i, k] /= total
         _moments(mu[i : i + 1], modes[i : i + 1], spreads[i : i + 1], x[i : i + 1], P[i : i + 1])
 
 
@@ -301,15 +302,28 @@ def _update(state: Floats, covariance: Floats, took: Ints, measured: tuple[Float
 
     took (N,): index of the segment, -1 for none; measured: positions, R, variance of the time.
     """
+    room = _room()
     for i in range(took.size):
-        j = took[i]
-        nis[i] = _correct(state[i], covariance[i], measured[0][j], measured[1][j], measured[2])[0] if j >= 0 else np.nan
+        j, nis[i] = took[i], np.nan
+        if j >= 0:
+            nis[i], _ = _correct(state[i], covariance[i], measured[0][j], measured[1][j], measured[2], room)
 
 
 @njit(cache=True, nogil=True)
-def _correct(x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float) -> tuple[float, float]:
-    """Update one state by one measurement in place; return the squared distance of the two and det S."""
-    S, V, W, K = np.empty((3, 3)), np.empty((3, 3)), np.empty((9, 3)), np.empty((9, 3))
+def _room() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return what `_correct` computes in: made once, because making it takes as long as an update."""
+    return np.empty((3, 3)), np.empty((3, 3)), np.empty((9, 3)), np.empty((9, 3))
+
+
+@njit(cache=True, nogil=True)
+def _correct(
+    x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float, room: tuple[Floats, Floats, Floats, Floats]
+) -> tuple[float, float]:
+    """Update one state by one measurement in place; return the squared distance of the two and det S.
+
+    room: (3, 3), (3, 3), (9, 3), (9, 3) to compute in.
+    """
+    S, V, W, K = room
     _innovation_covariance(x, P, R, time_variance, S)
     determinant = _invert(S, V)
     squared = _squared_distance(x, V, z)
