@@ -154,6 +154,7 @@ def _read(path: Path, keys: list[str], load: Load) -> Content:
     n_frames = shape[0] if len(shape) == 3 else 1
     times = _times(path, format_.time, load, n_frames) if format_.time in keys else None
     facts = {FACTS[key].setting: _fact(path, key, load) for key in FACTS if key in keys and format_.raw}
+    _lead_on_gate_2(path, facts)
     ignored = [key for key in keys if key not in {*used, *FACTS, format_.time}]
     notes = []
     if ignored:
@@ -256,6 +257,23 @@ def _fact(path: Path, key: str, load: Load) -> float:
     if not (np.isfinite(number) and fact.possible(number)):
         raise DataError(f"{path}: {key} is {number:g}; it must be {fact.rule}")
     return fact.number(number)
+
+
+def _lead_on_gate_2(path: Path, facts: dict[str, Any]) -> None:
+    """Turn the lead of the pulse as files state it into that on the opening of gate 2, which the camera's setting is.
+
+    Files count it from a pulse that rises with gate 2 of gates as long as itself. The gates follow the opening of gate
+    1, which stays where it is: shorter ones bring gate 2 forward by what they are shorter, and that is not lead.
+    Raises DataError if nothing is left.
+    """
+    if {"pulse_lead_s", "pulse_width_s", "gate_width_s"} <= {*facts} and facts["pulse_lead_s"] > 0:
+        lead_s = facts["pulse_lead_s"] - (facts["pulse_width_s"] - facts["gate_width_s"])
+        if lead_s <= 0:
+            raise DataError(
+                f"{path}: pulse_lead_s is {facts['pulse_lead_s']:g}; gates shorter than the pulse open gate 2 earlier "
+                "by pulse_width_s - gate_width_s, and the lead must be longer than that"
+            )
+        facts["pulse_lead_s"] = lead_s
 
 
 def _plane(key: str, array: Array, k: int) -> Image:
