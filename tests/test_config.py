@@ -112,3 +112,12 @@ def test_the_brake_rule_counts_pixels_of_the_camera_that_looks(preset: str, pitc
     factor = 2 if lens.vertical_fov_deg is not None else 4  # square pixels shrink both ways
     assert finer.decision.pixel_pitch_deg == pytest.approx(load_config(preset).decision.pixel_pitch_deg / factor)
     assert load_config(preset, {"decision": {"pixel_pitch_deg": 3.0}}).decision.pixel_pitch_deg == 3.0
+
+
+def test_noise_that_segments_share_is_that_of_the_filter_unless_it_is_set():
+    from rangecam.clean import CleanSettings, shared_noise_pixels
+
+    for changes in ({"filter": "off"}, {"filter": "mean"}, {"filter": "median", "temporal_frames": 4.0}):
+        said = load_config("scaled_car", {"clean": changes}).segments.shared_noise_pixels
+        assert said == shared_noise_pixels(CleanSettings(**changes))
+    assert load_config("scaled_car", {"segments": {"shared_noise_pixels": 3.0}}).segments.shared_noise_pixels == 3.0

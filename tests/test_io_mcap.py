@@ -177,7 +177,7 @@ def test_a_recording_can_be_decoded_otherwise(tmp_path: Path) -> None:
     source = open_source("scenario:test-scene", layers=[SMALL])
     record(tmp_path / "a.mcap", list(source.captures)[:2], source.config)
     plain, moved = (
-        open_source(tmp_path / "a.mcap", layers=[{"camera": {"offset_m": m}, "clean": {"median": "off"}}])
+        open_source(tmp_path / "a.mcap", layers=[{"camera": {"offset_m": m}, "clean": {"filter": "off"}}])
         for m in (0.0, 0.5)
     )
     a, b = (next(run(s.captures, s.config)).image.range_m for s in (plain, moved))

@@ -164,7 +164,7 @@ def test_a_compressed_file_is_read_too(tmp_path: Path) -> None:
 def test_missing_measurements_of_a_processed_image_are_pixels_not_errors(tmp_path: Path) -> None:
     range_m = np.full((4, 6), 2.0)
     range_m[0, 0] = np.nan
-    source = open_source(save(tmp_path / "a.npz", {"range_m": range_m}), layers=[{"clean": {"median": "off"}}])
+    source = open_source(save(tmp_path / "a.npz", {"range_m": range_m}), layers=[{"clean": {"filter": "off"}}])
     (frame,) = run(source.captures, source.config)
     assert frame.image.why[0, 0] != 0
 

@@ -27,7 +27,7 @@ def raw(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    config = load_config("generic_cw", {"camera": {"modulation_hz": 33e6}, "clean": {"median": "off"}})
+    config = load_config("generic_cw", {"camera": {"modulation_hz": 33e6}, "clean": {"filter": "off"}})
     with Recorder(tmp_path / "a.mcap", config, "elsewhere") as recorder:
         planes = {f"phase_{step}": np.full((6, 8), step, np.int16) for step in (0, 90, 180, 270)}
         recorder.write(Capture(RawFrame(0.5, planes, 7)))
@@ -116,7 +116,7 @@ def test_settings_of_another_family_are_refused_with_one_that_fits(raw: Path, ho
 
 def test_a_recording_brings_its_settings_with_it(recording: Path) -> None:
     source = open_source(recording)
-    assert source.config == load_config("generic_cw", {"camera": {"modulation_hz": 33e6}, "clean": {"median": "off"}})
+    assert source.config == load_config("generic_cw", {"camera": {"modulation_hz": 33e6}, "clean": {"filter": "off"}})
     assert open_source(recording, layers=[SMALL]).config.camera.modulation_hz == 33e6
     assert open_source(recording, preset="scaled_car").config == load_config("scaled_car")
     with pytest.raises(UsageError, match="pulsed camera"):

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import label as connected
 from scipy.stats import chi2
 
-from rangecam.clean import CleanSettings, clean
+from rangecam.clean import CleanSettings, clean, shared_noise_pixels
 from rangecam.config import load_config
 from rangecam.errors import DataError
 from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
@@ -336,14 +336,15 @@ def test_position_is_unbiased_though_near_pixels_say_they_are_better():
     assert abs(np.mean(errors)) < 4 * 0.5 / np.sqrt(20 * 2000)
 
 
-@pytest.mark.parametrize(("median", "shared"), [("off", 1.0), ("3x1", 2.6), ("3x3", 7.0)])
-def test_range_of_a_segment_scatters_as_its_sigma_says_after_each_median(median, shared):
+@pytest.mark.parametrize("filtered", [{"filter": "off"}, {"window": "3x1"}, {"window": "3x3"}])
+def test_range_of_a_segment_scatters_as_its_sigma_says_after_each_median(filtered):
     """Chi-square of 600 plates of 20 x 20 pixels against the stated sigma, which includes what the median shares."""
+    shared = shared_noise_pixels(CleanSettings(**filtered))
     rng, z = np.random.default_rng(9), []
     lens = Lens(horizontal_fov_deg=2)
     for _ in range(600):
         source = image(4.0 + 0.05 * rng.standard_normal((20, 20)), 0.05)
-        source = clean(source, lens, LEVEL, CleanSettings(median=median))
+        source = clean(source, lens, LEVEL, CleanSettings(**filtered))
         segment = measured(np.ones((20, 20), int), source, lens, shared_noise_pixels=shared, sigma_systematic_m=0.0)[0]
         z.append((segment.range_m - 4.0) / segment.sigma_range_m)
     total = np.sum(np.square(z))

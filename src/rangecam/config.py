@@ -18,8 +18,9 @@ from pydantic import Field, TypeAdapter, ValidationError
 from rangecam import cw, processed, pulsed
 from rangecam.brake import DecisionSettings
 from rangecam.classify import ClassificationSettings
-from rangecam.clean import CleanSettings
+from rangecam.clean import CleanSettings, shared_noise_pixels
 from rangecam.cw import CwCamera
+from rangecam.cw.registers import written
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.geometry import Lens, Mounting, pixel_pitch
 from rangecam.processed import ProcessedCamera
@@ -72,13 +73,19 @@ class Config:
 def load_config(preset: str | None = None, *layers: Tree) -> Config:
     """Return the configuration of a preset (default: scaled_car) with `layers` of settings over it, the last winning.
 
-    `decision.pixel_pitch_deg` is that of the camera unless a layer sets it.
+    `decision.pixel_pitch_deg` is that of the camera, `segments.shared_noise_pixels` that of the filter of `clean`,
+    unless a layer sets them.
     Raises UsageError for an unknown preset, an unknown setting or an impossible value, naming it and what is allowed.
     """
     values = merge(preset_tree(preset or "scaled_car"), *layers)
     config = parse(Config, values, "configuration")
+    if config.camera.kind == "cw" and config.camera.registers:
+        config = replace(config, camera=written(config.camera))
     if "pixel_pitch_deg" not in values.get("decision", {}):
         config = replace(config, decision=replace(config.decision, pixel_pitch_deg=_pitch_deg(config.camera)))
+    if "shared_noise_pixels" not in values.get("segments", {}):
+        shared = shared_noise_pixels(config.clean)
+        config = replace(config, segments=replace(config.segments, shared_noise_pixels=shared))
     _check_choice("ranging", config.ranging, sorted(FAMILIES[config.camera.kind].RANGING))
     _check_choice("segmentation", config.segmentation, sorted(SEGMENTATION))
     return config
@@ -124,7 +131,7 @@ def overrides(assignments: Sequence[str]) -> dict[str, Any]:
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals or not key.strip():
-            raise UsageError(f"--set {assignment}: expected key=value, for example --set clean.median=true")
+            raise UsageError(f"--set {assignment}: expected key=value, for example --set clean.filter=off")
         try:
             value = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:

@@ -28,14 +28,22 @@ def call(stage: str, function: Callable[..., Any], *arguments: Any) -> Any:
     return function(*arguments)
 
 
-def process_frame(raw: RawFrame, tracks: Tracks, ego: Ego, config: Config, step: Callable[..., Any] = call) -> Frame:
+def process_frame(
+    raw: RawFrame,
+    tracks: Tracks,
+    ego: Ego,
+    config: Config,
+    step: Callable[..., Any] = call,
+    before: RangeImage | None = None,
+) -> Frame:
     """One step of perception: raw samples in, decision out. Pure: same arguments, same Frame.
 
     `step(stage, function, *arguments)` calls each stage; it may watch, but must return what the function returns.
+    `before` is the image of the last frame, for cleaning that averages over time.
     """
     camera, lens, mounting = config.camera, config.camera.lens, config.mounting
     image = step("ranging", RANGING[config.ranging], raw, camera)
-    image = step("clean", clean, image, lens, mounting, config.clean)
+    image = step("clean", clean, image, lens, mounting, config.clean, before)
     points = step("geometry", to_world, image, lens, mounting)
     labels = step("segmentation", SEGMENTATION[config.segmentation], image, points, config.segments)
     segments = step("segments", measure_segments, labels, points, image, lens, mounting, config.segments)
@@ -76,11 +84,11 @@ class Sink(Protocol):
 def run(
     captures: Iterable[Capture], config: Config, sinks: Sequence[Sink] = (), step: Callable[..., Any] = call
 ) -> Iterator[Frame]:
-    """Yield the Frame of each capture, after every sink has had it; the tracks of one are the memory of the next."""
-    tracks = Tracks.empty()
+    """Yield the Frame of each capture, after every sink has had it; tracks and image are the memory of the next."""
+    tracks, image = Tracks.empty(), None
     for capture in captures:
-        frame = process_frame(capture.raw, tracks, capture.ego, config, step)
+        frame = process_frame(capture.raw, tracks, capture.ego, config, step, image)
         for sink in sinks:
             sink.write(capture, frame)
-        tracks = frame.tracks
+        tracks, image = frame.tracks, frame.image
         yield frame

@@ -255,7 +255,7 @@ def _cleaned(
                 agree = cv2.add(agree, cv2.bitwise_and(cv2.compare(difference, allowed, cv2.CMP_LE), 1))
     kept = _refuse(cv2, kept, cv2.compare(agree, c.min_neighbours, cv2.CMP_GE), Why.ISOLATED)
     mask = kept[0]
-    if c.median != "off":
+    if c.filter != "off":
         outside = cv2.bitwise_not(mask) > 0
         range_m[outside] = MARKER
         upper = cv2.medianBlur(range_m, 3)

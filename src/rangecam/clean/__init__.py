@@ -1,6 +1,9 @@
 """From a range image to a clean one: fewer valid pixels, less noise, sigma kept true.
 
 Every stage only refuses pixels, with a reason, or lowers their noise: a pixel that came in invalid stays so.
+- limits: what is known of each pixel before the image: least amplitudes, floor, area of interest
+- neighbours, flying: which pixels are refused
+- filters (median, variation): less noise from neighbours; temporal: from the last image
 """
 
 import dataclasses
@@ -10,43 +13,57 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.clean.filters import cut, judge, smooth
-from rangecam.clean.limits import area_of_interest, floor_limit, neighbours_needed, weakest_amplitudes
+from rangecam.clean.filters import FILTERS, shared_noise_pixels
+from rangecam.clean.flying import flying
+from rangecam.clean.limits import area_of_interest, cut, floor_limit, neighbours_needed, weakest_amplitudes
+from rangecam.clean.neighbours import Kept, judge
 from rangecam.clean.settings import CleanSettings
+from rangecam.clean.temporal import settle
 from rangecam.geometry import Lens, Mounting
 from rangecam.types import Floats, Ints, RangeImage
 
-__all__ = ["STAGES", "CleanSettings", "clean", "clean_stages"]
+__all__ = ["FILTERS", "STAGES", "CleanSettings", "clean", "clean_stages", "shared_noise_pixels"]
 
-STAGES = ("amplitude", "neighbourhood", "median", "floor", "area")
+STAGES = ("amplitude", "flying", "neighbourhood", "filter", "floor", "area")
 """The stages of cleaning, in their order."""
 
 _OFF: tuple[dict[str, Any], ...] = (  # what switches off each of STAGES
     {"amplitude_threshold": 0.0, "wrap_threshold": 0.0},
+    {"reject_flying": False},
     {"min_neighbours": 0, "discard_border": False},
-    {"median": "off"},
+    {"filter": "off", "temporal_frames": 1.0},
     {"floor": "off"},
     {"x_min_m": None, "x_max_m": None, "width_m": None, "z_min_m": None, "z_max_m": None},
 )
 
 
-def clean(image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSettings) -> RangeImage:
+def clean(
+    image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSettings, before: RangeImage | None = None
+) -> RangeImage:
     """Refuse pixels that cannot be trusted or do not matter, and smooth the rest.
 
-    Amplitude thresholds and the test for common neighbours both judge the image as it came (Steinbäck 2016, alg 4.2);
-    the median takes what they left; floor and area of interest are cut from its result.
+    Amplitude thresholds, the search for flying pixels and the test for common neighbours judge the image as it came
+    (Steinbäck 2016, alg 4.2); the filter takes what they left; floor and area of interest are cut from its result.
+    before: what this function returned for the last frame, for the average over time.
     """
     why = np.ascontiguousarray(image.why)
     range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
     amplitude = np.ascontiguousarray(image.amplitude, np.float32)
     least, needed, floor, near, far = _known_limits(lens, mounting, why.shape, settings)
-    why, around = judge((range_m, sigma_m, amplitude), why, least, needed, settings)
-    if settings.median != "off":
-        range_m, sigma_m = smooth(range_m, sigma_m, why, around, floor, settings)
+    between = flying(range_m, sigma_m, why, settings) if settings.reject_flying else _NOBODY_LOOKED
+    why, around = judge((range_m, sigma_m, amplitude), why, least, needed, between, settings)
+    if settings.filter != "off":
+        kept = Kept(range_m, sigma_m, amplitude, why, around, floor)
+        range_m, sigma_m = FILTERS[settings.filter](kept, settings)
+    if settings.temporal_frames > 1 and before is not None and before.shape == image.shape:
+        range_m, sigma_m = settle(range_m, sigma_m, why, before, settings)
     if settings.floor == "fit":
         floor = floor_limit(range_m, why, lens, mounting, settings)
     why = cut(range_m, sigma_m, why, (floor, near, far), settings)
     return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
+
+
+_NOBODY_LOOKED = np.zeros((0, 0), np.uint8)
 
 
 @lru_cache(maxsize=16)
@@ -62,9 +79,9 @@ def _known_limits(
 
 
 def clean_stages(
-    image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSettings
+    image: RangeImage, lens: Lens, mounting: Mounting, settings: CleanSettings, before: RangeImage | None = None
 ) -> Iterator[tuple[str, RangeImage]]:
     """Yield the name of each of `STAGES` and the image cleaned up to it; the last is the result of `clean`."""
     for number, stage in enumerate(STAGES, start=1):
         off = {key: value for later in _OFF[number:] for key, value in later.items()}
-        yield stage, clean(image, lens, mounting, dataclasses.replace(settings, **off))
+        yield stage, clean(image, lens, mounting, dataclasses.replace(settings, **off), before)

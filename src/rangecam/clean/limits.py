@@ -5,12 +5,15 @@ from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
+from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from rangecam.clean.settings import CleanSettings
 from rangecam.geometry import Lens, Mounting, polar, position, rays, rotation
-from rangecam.types import Floats, Ints
+from rangecam.types import Floats, Ints, Why
 
+_FLOOR, _OUTSIDE_AREA = int(Why.FLOOR), int(Why.OUTSIDE_AREA)
 REFUSE = 255
 """Number of neighbours needed that says: refuse this pixel, it lies at the border."""
 
@@ -159,3 +162,29 @@ def area_of_interest(
         near = np.maximum(near, np.where(level, 0.0 if inside else np.inf, first))
         far = np.minimum(far, np.where(level, np.inf if inside else 0.0, last))
     return near.astype(np.float32), far.astype(np.float32)
+
+
+def cut(
+    range_m: Floats, sigma_m: Floats, why: Ints, limits: tuple[Floats, Floats, Floats], settings: CleanSettings
+) -> NDArray[np.uint8]:
+    """Return why (H, W) uint8 with the pixels that see the floor or lie outside the area of interest refused too.
+
+    limits: the range at which each pixel meets the floor, enters and leaves the area.
+    """
+    reason = np.empty(why.shape, np.uint8)
+    _cut(range_m, sigma_m, why, limits, settings.floor_margin_sigmas, reason)
+    return reason
+
+
+@njit(cache=True, nogil=True)
+def _cut(
+    range_m: Floats, sigma_m: Floats, why: Ints, limits: tuple[Floats, Floats, Floats], sigmas: float, reason: Ints
+) -> None:
+    floor, near, far = limits
+    factor = np.float32(sigmas)
+    for y in range(range_m.shape[0]):
+        for x in range(range_m.shape[1]):
+            value = range_m[y, x]
+            first = 0 if (value >= near[y, x]) & (value <= far[y, x]) else _OUTSIDE_AREA
+            first = _FLOOR if value + factor * sigma_m[y, x] > floor[y, x] else first
+            reason[y, x] = why[y, x] if why[y, x] != 0 else first

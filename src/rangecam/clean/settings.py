@@ -32,10 +32,29 @@ class CleanSettings:
     """... plus so many standard deviations of the difference."""
     discard_border: bool = False
     """Refuse the outermost rows and columns, which have no full neighbourhood (BORDER)."""
-    median: Literal["off", "3x1", "3x3"] = "3x3"
-    """Median over the valid pixels around each valid pixel: 3 columns in 1 row, or 3 in 3."""
+    reject_flying: bool = False
+    """Refuse pixels between two surfaces (FLYING)."""
+    flying_tolerance_m: NonNegative = 0.01
+    """A flying pixel differs from its neighbours on both sides by more than this, ..."""
+    flying_tolerance_sigmas: NonNegative = 2.5
+    """... plus so many standard deviations of the difference."""
+    filter: Literal["off", "median", "mean", "bilateral", "cross_bilateral", "total_variation"] = "median"
+    """How the valid pixels around each valid pixel lower its noise, a key of `clean.FILTERS`."""
+    window: Literal["3x1", "3x3"] = "3x3"
+    """Neighbourhood of median and mean: 3 columns in 1 row, or 3 in 3."""
     median_across_edges: bool = False
-    """Let the median take every valid neighbour, not only common neighbours; sigma is then too small at edges."""
+    """Let the median take every valid neighbour, not only common ones; at edges it then leans to the other surface."""
+    bilateral_sigma_px: Positive = 1.5
+    """Bilateral filters: standard deviation of the weight over the distance in the image, of 5x5 pixels."""
+    amplitude_tolerance: Positive = 0.5
+    """Cross-bilateral filter: amplitudes that differ by this fraction of their mean have nothing to do with each other;
+    it should be well above the noise of the amplitude."""
+    total_variation: Positive = 1.0
+    """Total variation: strength; 1 weighs a step of one sigma between neighbours like a residual of sqrt(2) sigma."""
+    temporal_frames: Annotated[float, Interval(ge=1)] = 1.0
+    """Number of images over which the range of a pixel at rest is averaged; 1: off."""
+    temporal_gate_sigmas: Positive = 3.0
+    """A pixel whose range changed by more than so many standard deviations begins anew."""
     floor: Literal["off", "mounting", "fit"] = "off"
     """Remove the floor: where the mounting says it is, or where a plane fits the far side of the image."""
     floor_max_tilt_deg: Annotated[float, Interval(ge=0, le=90)] = 20.0

@@ -44,6 +44,6 @@ class SegmentSettings:
     sigma_systematic_m: NonNegative = 0.005
     """Standard deviation of a segment's range that no number of pixels makes smaller."""
     shared_noise_pixels: Annotated[float, Interval(ge=1)] = 6.6
-    """Over how many pixels the noise is the same: the 3x3 median correlates neighbours; 1 for independent pixels."""
+    """Over how many pixels the noise is the same; 1: independent. Unless it is set, what the filter of `clean` says."""
     near_fraction: Annotated[float, Interval(gt=0, le=0.5)] = 0.05
     """Part of a segment's pixels that may lie nearer than its nearest distance."""
