@@ -7,6 +7,7 @@ import numpy as np
 from rangecam.cw.light import collect
 from rangecam.cw.link import transfer
 from rangecam.cw.pixel import respond
+from rangecam.cw.scattering import scatter
 from rangecam.cw.sequence import Exposure, exposure_times_s, exposures, fastest_frame_rate_hz, plane_names
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import sample_variance
@@ -52,7 +53,7 @@ def _expose(view: Callable[[float], View], exposure: Exposure, middle_s: float) 
     light = collect(view(times_s[0]), camera, exposure.step_deg, times_s[0])
     for at_s in times_s[1:]:
         light += collect(view(at_s), camera, exposure.step_deg, at_s)
-    return light / np.float32(count) if count > 1 else light
+    return scatter(light / np.float32(count), camera.scattering)
 
 
 def _read_out(samples: Floats, camera: CwCamera) -> Image:

@@ -22,9 +22,9 @@ from rangecam.types import Floats
 def correlate(view: View, camera: CwCamera, step_deg: float, time_s: float = 0.0) -> tuple[Floats, Floats]:
     """Return the mean sample and the light collected for it, each (H, W) float32 in LSB, at one phase step.
 
-    `collect` and `respond` in one: what an exposure gives that looks at the scene once, at `time_s`.
+    `collect`, `scatter` and `respond` in one: what an exposure gives that looks at the scene once, at `time_s`.
     """
-    return respond(collect(view, camera, step_deg, time_s), camera)
+    return respond(scatter(collect(view, camera, step_deg, time_s), camera.scattering), camera)
 
 
 def collect(view: View, camera: CwCamera, step_deg: float, time_s: float) -> Floats:
@@ -35,21 +35,20 @@ def collect(view: View, camera: CwCamera, step_deg: float, time_s: float) -> Flo
     at an edge mixes two ranges (K-OPT-13). The amplitude of a ray goes with reflectivity cos(incidence) / range^2
     (Steinbäck 2016, eq 2.5), and so that a white plane 1 m before the camera makes `reference_amplitude`. All the
     light, whose shot noise a sample has, is amplitude / contrast plus the ambient light. Light of a second camera and
-    of second bounces comes on top, then the lens scatters.
+    of second bounces comes on top. The lens scatters it on its way (`scatter`).
     """
     view = view if camera.mixed_pixels else middle_ray(view)
     gain, vignetting = gains(camera, view.range_m.shape[1:])
     shift_m = range_shift_m(camera, time_s, gain.shape)
     ambient = np.float32(camera.ambient_lsb_per_wpm2 * view.ambient_wpm2) * vignetting
     per_amplitude = np.float32(1 / camera.demodulation_contrast)
-    light, own = np.zeros((2, *gain.shape), np.float32), _own_light(camera, step_deg)
-    _add_light(view, own, shift_m, (gain, per_amplitude, ambient), light)
+    lights = [_own_light(camera, step_deg)]
     if camera.interference.strength:
-        theirs, its_gain = _interfering_light(camera, step_deg, time_s), gain * np.float32(camera.interference.strength)
-        _add_light(view, theirs, shift_m, (its_gain, per_amplitude, np.zeros_like(ambient)), light)
+        lights.append(_interfering_light(camera, step_deg, time_s))
+    result = _sum_over_rays(view, lights, shift_m, (gain, per_amplitude, ambient))
     if camera.multipath.two_bounces:
-        light += _second_bounces(middle_ray(view), camera, own, shift_m)
-    return scatter(light, camera.scattering)
+        result += _second_bounces(middle_ray(view), camera, lights[0], shift_m)
+    return result
 
 
 def middle_ray(view: View) -> View:
@@ -63,11 +62,15 @@ def middle_ray(view: View) -> View:
 
 @dataclass(frozen=True, eq=False)
 class _Light:
-    """Modulated light as the pixels see it: correlation over a period; phase = turns_per_m range + start_turns."""
+    """Modulated light as the pixels see it: correlation over a period; phase = turns_per_m range + start_turns.
+
+    strength: over that of our own light.
+    """
 
     table: Floats
     turns_per_m: float
     start_turns: float
+    strength: float = 1.0
 
 
 def _own_light(camera: CwCamera, step_deg: float) -> _Light:
@@ -93,7 +96,7 @@ def _interfering_light(camera: CwCamera, step_deg: float, time_s: float) -> _Lig
     beat = camera.phase_sign * math.fmod(its.phase_deg / 360 + beat_hz * time_s, 1.0)
     exposure_s = camera.illumination_time_s / camera.exposure_samples
     table = _interfering_table(camera.waveform, its.modulation_hz, beat_hz * exposure_s)
-    return _Light(table, turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m - beat)
+    return _Light(table, turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m - beat, its.strength)
 
 
 @lru_cache(maxsize=16)
@@ -118,50 +121,53 @@ def _second_bounces(view: View, camera: CwCamera, light: _Light, shift_m: Floats
     return np.stack([signal, total / camera.demodulation_contrast]).astype(np.float32)
 
 
-def _rays_of(view: View) -> tuple[Floats, Floats, Floats]:
-    """Return range, reflectivity and incidence as the kernel reads them: (K, H W) float32."""
+def _sum_over_rays(
+    view: View, lights: list[_Light], shift_m: Floats, levels: tuple[Floats, np.float32, Floats]
+) -> Floats:
+    """Return the light (2, H, W) that the rays bring; levels: LSB of amplitude, light per amplitude, LSB of ambient."""
     range_m, reflectivity, cos_incidence = (
         np.ascontiguousarray(a, np.float32).reshape(len(a), -1)
         for a in (view.range_m, view.reflectivity, view.cos_incidence)
     )
-    return range_m, reflectivity, cos_incidence
-
-
-def _add_light(
-    view: View, modulated: _Light, shift_m: Floats, levels: tuple[Floats, np.float32, Floats], light: Floats
-) -> None:
-    """Add to `light` (2, H, W) what the rays bring; levels: LSB of amplitude, light per amplitude, LSB of ambient."""
+    numbers = [[each.turns_per_m, each.start_turns % 1, each.strength] for each in lights]
     gain, per_amplitude, ambient = levels
+    result = np.zeros((2, *shift_m.shape), np.float32)
     _sum_rays(
-        _rays_of(view),
-        (modulated.table, np.float32(modulated.turns_per_m), np.float32(modulated.start_turns % 1)),
+        (range_m, reflectivity, cos_incidence),
+        np.stack([each.table for each in lights]),
+        np.array(numbers, np.float32),
         shift_m.ravel(),
-        (gain.ravel(), per_amplitude, ambient.ravel()),
-        light[0].ravel(),
-        light[1].ravel(),
+        (gain.ravel(), np.float32(per_amplitude * sum(each.strength for each in lights)), ambient.ravel()),
+        result[0].ravel(),
+        result[1].ravel(),
     )
+    return result
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sum_rays(view: Any, light: Any, shift_m: Any, levels: Any, signal: Any, total: Any) -> Any:
-    """Average over the rays of each pixel: demodulated light, and active with ambient light; added to the outputs."""
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+def _sum_rays(view: Any, tables: Any, numbers: Any, shift_m: Any, levels: Any, signal: Any, total: Any) -> Any:
+    """Add up demodulated and all light over the rays of each pixel; only the loop that reads tables is no vector one."""
     range_m, reflectivity, cos_incidence = view
-    table, turns_per_m, start_turns = light
-    gain, per_contrast, ambient = levels
+    gain, per_amplitude, ambient = levels
     n_rays, n_pixels = range_m.shape
-    share, period = np.float32(1) / np.float32(n_rays), np.float32(len(table) - 2)
-    for i in range(n_pixels):
-        s, a, r = np.float32(0), np.float32(0), np.float32(0)
-        start = start_turns + turns_per_m * shift_m[i]
-        for k in range(n_rays):
-            distance = range_m[k, i]
-            if distance < np.inf:
-                strength = reflectivity[k, i] * cos_incidence[k, i] / (distance * distance)
-                turns = turns_per_m * distance + start
-                place = (turns - np.floor(turns)) * period
-                n = int(place)
-                s += strength * (table[n] + (place - np.float32(n)) * (table[n + 1] - table[n]))
-                a += strength
-                r += reflectivity[k, i]
-        signal[i] += gain[i] * s * share
-        total[i] += gain[i] * per_contrast * a * share + ambient[i] * r * share
+    share, period = np.float32(1) / np.float32(n_rays), np.float32(tables.shape[1] - 2)
+    zero, one, largest = np.float32(0), np.float32(1), np.float32(1e30)
+    distance, strength, place = np.empty_like(shift_m), np.empty_like(shift_m), np.empty_like(shift_m)
+    for k in range(n_rays):
+        range_k, reflectivity_k, cos_k = range_m[k], reflectivity[k], cos_incidence[k]
+        for i in range(n_pixels):
+            hit = range_k[i] < largest
+            distance[i] = range_k[i] if hit else one
+            reflected = share * reflectivity_k[i] if hit else zero
+            strength[i] = gain[i] * reflected * cos_k[i] / (distance[i] * distance[i])
+            total[i] += strength[i] * per_amplitude + ambient[i] * reflected
+        for light in range(len(numbers)):
+            table = tables[light]
+            turns_per_m, start, factor = numbers[light, 0], numbers[light, 1], numbers[light, 2]
+            for i in range(n_pixels):
+                turns = turns_per_m * (distance[i] + shift_m[i]) + start
+                place[i] = (turns - np.floor(turns)) * period
+            for i in range(n_pixels):
+                n = np.int32(place[i])
+                here = table[n]
+                signal[i] += factor * strength[i] * (here + (place[i] - np.float32(n)) * (table[n + 1] - here))
