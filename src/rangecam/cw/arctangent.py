@@ -49,11 +49,11 @@ def table_alone(imaginary: Floats, real: Floats) -> Floats:
     return _mapped(_by_nearest, imaginary, real)
 
 
-def integer_table(imaginary: Ints, real: Ints) -> Floats:
+def integer_table(imaginary: Floats | Ints, real: Floats | Ints) -> Floats:
     """Return the phase by the table of the fixed-point chain; the parts are cut to whole numbers, below 2^30."""
-    imaginary, real = (np.ascontiguousarray(part, np.int32) for part in (imaginary, real))
-    phase = np.empty(imaginary.shape)
-    _by_integer_table(imaginary.reshape(-1), real.reshape(-1), INTEGER_TABLE, phase.reshape(-1))
+    y, x = (np.ascontiguousarray(part, np.int32) for part in (imaginary, real))
+    phase = np.empty(y.shape)
+    _by_integer_table(y.reshape(-1), x.reshape(-1), INTEGER_TABLE, phase.reshape(-1))
     return phase
 
 

@@ -101,7 +101,7 @@ def _checked(writes: Iterable[Register]) -> dict[str, int]:
     """Return what stands in the registers that were written, by name; the last write to each counts."""
     contents: dict[str, int] = {}
     for register, value in writes:
-        name = NAMES.get(register) if isinstance(register, int) else register
+        name = NAMES.get(register, "") if isinstance(register, int) else register
         if name not in ADDRESSES:
             what = (
                 f"0x{register:04X}" if isinstance(register, int) else f"{register!r}{did_you_mean(register, ADDRESSES)}"

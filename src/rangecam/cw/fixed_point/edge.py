@@ -31,7 +31,7 @@ def cw_emulation(raw: RawFrame, camera: CwCamera) -> RangeImage:
     program = compiled(camera, samples[0].shape)
     finite = np.logical_and.reduce([np.isfinite(each) for each in samples])
     images = integer_chain(interface_words(samples, finite, camera), program)
-    why, valid = images.why.copy(), images.why == 0
+    why, valid = images.why.astype(np.uint8), images.why == 0
     why[images.square == 0] = Why.NO_SIGNAL
     why[~finite] = Why.NOT_FINITE
     why[: camera.pseudo_rows] = Why.SENSOR_FLAG

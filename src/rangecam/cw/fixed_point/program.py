@@ -77,12 +77,14 @@ def conversion(camera: CwCamera, shape: tuple[int, int]) -> Ints:
     rows and columns the right way round, E-S-02), counted from the first pixel after the middle; or of the lens.
     """
     if camera.emulation.angles == "lens":
-        return np.rint(rays(camera.lens, shape)[..., 0] * 2**COSINE_BITS).astype(np.int64)
+        along: Ints = np.rint(rays(camera.lens, shape)[..., 0] * 2**COSINE_BITS).astype(np.int64)
+        return along
     rows, columns = (
         cosine_table(pitch_deg, count)[np.abs(np.arange(count) - count // 2)]
         for pitch_deg, count in zip(_pitches_deg(camera, shape), shape, strict=True)
     )
-    return (rows[:, None] * columns + HALF_COSINE) >> COSINE_BITS
+    product: Ints = (rows[:, None] * columns + HALF_COSINE) >> COSINE_BITS
+    return product
 
 
 def cosine_table(pitch_deg: float, count: int, power: float = 1.0) -> Ints:
