@@ -86,7 +86,7 @@ def test_the_polynomial_arctangent_is_right_all_around_the_circle_and_on_the_axe
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("method", sorted(RANGING))
+@pytest.mark.parametrize("method", ["cw_four_phase", "cw_phases"])
 def test_ranging_inverts_the_forward_model(method, sign):
     camera = replace(EXACT, phase_sign=sign, offset_m=0.7)
     range_m = np.linspace(0.2, 8.7, 40, dtype=np.float32).reshape(1, 5, 8)

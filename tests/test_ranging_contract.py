@@ -16,11 +16,18 @@ THREE_WINDOWS = {"camera": {"shutters": "abc", "frame_rate_hz": 30.0}}
 # Without a delay of the laser, the second window would see nothing nearer than 4.5 m.
 TWO_LATE = {"camera": {"shutters": "bb", "laser_delay_s": 30e-9}}
 # A small image has more border, and pixels of two degrees are too coarse for whole steps of the angle.
-KEPT_AND_EXACT = {"border": "keep", "angles": "lens"}
+KEPT_AND_EXACT = {"border": "keep", "angles": "lens", "speed_of_light_mps": 299_792_458.0}
+TWO_FREQUENCIES = {"camera": {"modulations_hz": [60e6, 80e6], "phase_steps_deg": [0, 90, 180], "capture_order": []}}
 # A camera for each method, and two planes that it needs; a method that is missing here fails the first test.
 CAMERAS: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
     "cw_four_phase": ("scaled_car", {}, ("phase_0", "phase_90")),
     "cw_emulation": ("scaled_car", {"camera": {"emulation": KEPT_AND_EXACT}}, ("phase_0", "phase_90")),
+    "cw_phases": (
+        "scaled_car",
+        {"camera": {"phase_steps_deg": [0, 120, 240], "capture_order": []}},
+        ("phase_0", "phase_240"),
+    ),
+    "cw_multi_frequency": ("scaled_car", TWO_FREQUENCIES, ("f0_phase_0", "f1_phase_90")),
     "mdsi1": ("usercams", THREE_WINDOWS, ("shutter_a", "shutter_c")),
     "mdsi2": ("usercams", THREE_WINDOWS, ("shutter_b", "shutter_c")),
     "mdsi3": ("usercams", {}, ("shutter_a", "shutter_b")),
