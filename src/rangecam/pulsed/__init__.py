@@ -9,6 +9,6 @@ from rangecam.pulsed.uncrossed import without_crosstalk
 
 _METHODS = {**ranging.RANGING, **delays.RANGING, **saturation.RANGING}
 RANGING = {name: calibrated(without_crosstalk(method)) for name, method in _METHODS.items()}
-"""Ranging methods of pulsed cameras by name; they apply the calibration that a frame carries, then take off crosstalk."""
+"""Ranging methods of pulsed cameras by name; with the calibration that a frame carries, and without known crosstalk."""
 
 __all__ = ["PLANES", "RANGING", "PulsedCamera", "check", "made_for", "simulate", "warnings_of"]

@@ -92,7 +92,7 @@ def warnings_of(camera: PulsedCamera) -> list[str]:
     if laser.repetition_hz > limit_hz:
         settles = float(power_fraction(laser, camera.pulse_width_s, camera.temperature_c, float("inf")))
         found.append(
-            f"camera.laser.repetition_hz = {laser.repetition_hz:g} is above the thermal limit of {limit_hz:.4g} Hz: "
-            f"the power settles at {settles:.0%} of the initial one, below {laser.least_power:.0%} heat harms the diodes"
+            f"camera.laser.repetition_hz = {laser.repetition_hz:g} is above its thermal limit, {limit_hz:.4g} Hz: "
+            f"the power settles at {settles:.0%} of the first, and below {laser.least_power:.0%} heat harms the diodes"
         )
     return found
