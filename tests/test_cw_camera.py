@@ -18,7 +18,7 @@ from rangecam.cw.effects import (
     Temperature,
     Waveform,
 )
-from rangecam.cw.imperfections import IMPERFECTIONS, ground_truth, ideal, with_and_without
+from rangecam.cw.imperfections import IMPERFECTIONS, ground_truth, ideal, imperfect, with_and_without
 from rangecam.cw.light import correlate
 from rangecam.cw.link import transfer
 from rangecam.cw.multipath import Emitters, Surfaces, irradiance, solid_angles, surfaces_of
@@ -391,6 +391,40 @@ def test_only_the_region_of_interest_is_read_and_fewer_rows_take_less_time():
         simulated(flat_view(1.0, shape=(8, 10)), replace(camera, region_of_interest=(2, 3, 4, 8)))
 
 
+def test_a_slow_pixel_clock_lengthens_the_read_out():
+    clocked = [replace(CAMERA, link=Link(pixel_clock_hz=66.6e6 / divider)) for divider in (1, 8)]
+    assert readout_time_s(clocked[0]) == CAMERA.readout_time_s  # 0.288 ms of pixels: not what limits it (E-S-14)
+    assert readout_time_s(clocked[1]) == pytest.approx(160 * 120 / 8.325e6)  # N-S-018, N-S-041
+    assert exposure_times_s(clocked[1], 0.0)[3] > exposure_times_s(CAMERA, 0.0)[3]
+    part = replace(clocked[1], region_of_interest=(0, 0, 120, 80))
+    assert readout_time_s(part) == CAMERA.readout_time_s
+
+
+def test_the_words_of_the_processor_are_the_samples_shifted_to_the_top():
+    words = replace(
+        CAMERA,
+        **{name: 16 * getattr(CAMERA, name) for name in WITH_UNIT_LSB},
+        shot_noise_lsb2_per_lsb=16 * CAMERA.shot_noise_lsb2_per_lsb,
+    )
+    raw, shifted = (simulated(flat_view(1.0), camera) for camera in (CAMERA, words))
+    for name, plane in raw.planes.items():
+        np.testing.assert_array_equal(shifted.planes[name], plane << 4)  # N-S-050: 0..65520 in steps of 16
+    one, other = (RANGING["cw_four_phase"](r, c) for r, c in ((raw, CAMERA), (shifted, words)))
+    np.testing.assert_allclose(one.range_m, other.range_m, atol=1e-5)
+    np.testing.assert_allclose(one.sigma_m, other.sigma_m, rtol=1e-4)
+
+
+WITH_UNIT_LSB = (
+    "black_level_lsb",
+    "read_noise_lsb",
+    "quantisation_lsb",
+    "full_scale_lsb",
+    "lower_limit_lsb",
+    "reference_amplitude_lsb",
+    "reference_floor_lsb",
+)
+
+
 def patches(point_m, normal, area_m2, power):
     count = len(point_m)
     surfaces = Surfaces(
@@ -477,15 +511,11 @@ def test_normals_are_found_on_both_sides_of_an_edge():
 
 
 EVERYTHING = replace(
-    CAMERA,
+    imperfect(CAMERA),
     rows=12,
     columns=16,
-    exposure_samples=3,
-    waveform=Waveform(illumination="square", reference="square"),
     taps=Taps(full_well_lsb=60.0, ambient_suppression_lsb=10.0),
-    fixed_pattern=FixedPattern(global_offset_m=0.1, range_sigma_m=0.01, gain_sigma=0.01, offset_sigma_lsb=2.0),
-    temperature=Temperature(drift_m_per_k=1e-3, self_heating_k=20.0, temperature_c=30.0),
-    scattering=Scattering(stray_fraction=STRAY_FRACTION),
+    temperature=Temperature(drift_m_per_k=1e-3, temperature_c=30.0, self_heating_k=20.0),
     multipath=Multipath(two_bounces=True, block_pixels=2),
     interference=Interference(strength=0.2),
     link=Link(missed_clock_probability=0.01, bit_error_probability=0.01),

@@ -110,8 +110,11 @@ class Interference:
 
 @settings
 class Link:
-    """Faults of the parallel interface between sensor and processor (S-EFF-15; Steinbäck 2016, A.1)."""
+    """The parallel interface between sensor and processor, and its faults (S-PIF-01, S-EFF-15; Steinbäck 2016, A.1)."""
 
+    pixel_clock_hz: Positive | None = None
+    """Pixels a second, 66.6e6 or a half, a quarter or an eighth of it in the thesis: no phase image is read out in less
+    time than its pixels take (N-S-018, N-S-041). None: `readout_time_s` alone counts."""
     missed_clock_probability: Fraction = 0.0
     """Probability that the edge of the pixel clock of a pixel is missed: that pixel is lost, the rest of its row moves
     one column to the left, and the row ends with zeros."""

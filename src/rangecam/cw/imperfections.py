@@ -8,7 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rangecam.cw.camera import simulate
-from rangecam.cw.effects import FixedPattern, Interference, Link, Multipath, Scattering, Taps, Temperature, Waveform
+from rangecam.cw.effects import (
+    STRAY_FRACTION,
+    FixedPattern,
+    Interference,
+    Link,
+    Multipath,
+    Scattering,
+    Taps,
+    Temperature,
+    Waveform,
+)
 from rangecam.cw.light import middle_ray
 from rangecam.cw.sequence import single_frequencies
 from rangecam.cw.settings import CwCamera
@@ -45,6 +55,21 @@ def ground_truth(view: View, camera: CwCamera) -> GroundTruth:
         phasors.append(gains(single, range_m.shape)[0] * strength * np.exp(1j * phase))
         wraps.append(np.where(hit, np.floor(near_m / (2 * np.pi * metres_per_rad)), 0))
     return GroundTruth(range_m, np.array(phasors, np.complex64), np.array(wraps, np.int32))
+
+
+def imperfect(camera: CwCamera) -> CwCamera:
+    """Return the camera with everything wrong that can be, but two bounces, as strongly as is usual; *open* values."""
+    return replace(
+        camera,
+        waveform=Waveform(illumination="square", reference="square", bandwidth_hz=4 * camera.modulation_hz),
+        taps=Taps(full_well_lsb=2500.0, ambient_suppression_lsb=1000.0),
+        fixed_pattern=FixedPattern(global_offset_m=0.1, range_sigma_m=0.01, gain_sigma=0.01, offset_sigma_lsb=2.0),
+        temperature=Temperature(drift_m_per_k=2e-3, self_heating_k=15.0),
+        scattering=Scattering(stray_fraction=STRAY_FRACTION),
+        interference=Interference(strength=0.05, modulation_hz=camera.modulation_hz + 170.0),
+        link=Link(missed_clock_probability=1e-5, bit_error_probability=1e-6),
+        exposure_samples=3,
+    )
 
 
 def ideal(camera: CwCamera) -> CwCamera:

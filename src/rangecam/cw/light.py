@@ -146,7 +146,7 @@ def _sum_over_rays(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def _sum_rays(view: Any, tables: Any, numbers: Any, shift_m: Any, levels: Any, signal: Any, total: Any) -> Any:
-    """Add up demodulated and all light over the rays of each pixel; only the loop that reads tables is no vector one."""
+    """Add up the light of the rays of each pixel, demodulated and all; short loops, most of which become vectors."""
     range_m, reflectivity, cos_incidence = view
     gain, per_amplitude, ambient = levels
     n_rays, n_pixels = range_m.shape

@@ -73,9 +73,11 @@ def fastest_frame_rate_hz(camera: CwCamera) -> float:
 
 
 def readout_time_s(camera: CwCamera) -> float:
-    """Return the pause after each exposure, in proportion to the rows that are read out."""
-    read = camera.rows if camera.region_of_interest is None else camera.region_of_interest[2]
-    return camera.readout_time_s * read / camera.rows
+    """Return the pause after each exposure: in proportion to the rows that are read, no less than the link needs."""
+    region, clock_hz = camera.region_of_interest, camera.link.pixel_clock_hz
+    rows, columns = (camera.rows, camera.columns) if region is None else region[2:]
+    pause_s = camera.readout_time_s * rows / camera.rows
+    return pause_s if clock_hz is None else max(pause_s, rows * columns / clock_hz)
 
 
 def _listed(values: tuple[float, ...]) -> str:
