@@ -11,7 +11,7 @@ from rangecam.cameras.simulated import SIMULATE
 from rangecam.config import Config
 from rangecam.design.experiment import Point, Region, expected_sigma_m, observe, reach_m, regions
 from rangecam.design.facts import facts
-from rangecam.design.families import finite
+from rangecam.design.families import DESIGNED, finite
 from rangecam.design.limits import Limits, find_limits, saturated_below_m
 from rangecam.design.settings import Plan
 from rangecam.scene.view import View
@@ -69,7 +69,7 @@ def judge(name: str, config: Config, plan: Plan, seed: int = 0) -> Design:
         {rho: saturated_below_m(config, centre, rho, reach, plan) for rho in plan.reflectivities},
         {rho: (curve_m, expected_sigma_m(config, centre, curve_m, rho, plan)) for rho in plan.reflectivities},
         facts(config, plan, reach, raw),
-        (),
+        tuple(DESIGNED[camera.kind].warnings(camera)),
     )
 
 

@@ -25,8 +25,13 @@ from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
 
 _ON_AXIS = Lens(horizontal_fov_deg=1e-3, vertical_fov_deg=1e-3)
 _CORNER_FRAMES = 3
-_LEAST_M, _MOST_M = 0.02, 300.0
+_TRIED_TO_M = 300.0
+_A_LITTLE = 0.01
 _BRIGHTNESS = np.geomspace(1e-5, 1e2, 36)
+
+
+TRIED_FROM_M = 0.02
+"""Nearest range at which a measurement range is tried."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +71,13 @@ class Point:
 
 def regions(camera: AnyCamera, plan: Plan) -> tuple[Region, Region]:
     """Return the pixels on the axis and those in the four corners of the image."""
-    axis = replace(camera, rows=plan.side, columns=plan.side, lens=_ON_AXIS, **_all_lit(camera))
-    corners = replace(camera, rows=2, columns=2, lens=corner_lens(camera), **_all_lit(camera))
+    family = DESIGNED[camera.kind]
+    axis = replace(family.alike(camera, camera.columns // 2), rows=plan.side, columns=plan.side, lens=_ON_AXIS)
+    corners = replace(family.alike(camera, 0), rows=2, columns=2, lens=corner_lens(camera))
     return (
         Region("centre", axis, False, plan.frames),
         Region("corners", corners, True, _CORNER_FRAMES * plan.frames),
     )
-
-
-def _all_lit(camera: AnyCamera) -> dict[str, Any]:
-    """Return what gives every pixel light: some cameras send data of their own in the place of rows."""
-    return {"pseudo_rows": 0} if camera.kind == "cw" else {}
 
 
 def corner_lens(camera: AnyCamera) -> Lens:
@@ -100,11 +101,11 @@ def observe(config: Config, region: Region, target: tuple[float, float], plan: P
     range_m, reflectivity = target
     images, n_acc = measure(config, region, target, plan, rng)
     found, valid = _stack(images, "range_m"), _stack(images, "why") == Why.VALID
-    error_m = np.where(valid, found - range_m, 0.0)
+    error_m = np.where(valid, found.astype(np.float64) - range_m, 0.0)
     bias, spread, error = error_estimates(error_m, valid, plan.confidence, region.few_pixels)
-    sigma, amplitude = _stack(images, "sigma_m"), _stack(images, "amplitude")
+    sigma, clear = _stack(images, "sigma_m"), without_noise(config, region, target, plan)
     sigma_m = math.sqrt(float(np.mean(sigma[valid].astype(np.float64) ** 2))) if valid.any() else math.nan
-    electrons, mean = DESIGNED[region.camera.kind].electrons(region.camera), amplitude[np.isfinite(amplitude)].mean()
+    electrons = DESIGNED[region.camera.kind].electrons(region.camera)
     return Point(
         region.name,
         range_m,
@@ -115,8 +116,8 @@ def observe(config: Config, region: Region, target: tuple[float, float], plan: P
         spread,
         error,
         sigma_m,
-        expected_sigma_m(config, region, np.array([range_m]), reflectivity, plan)[0],
-        None if electrons is None else electrons * float(mean) * (n_acc or 1),
+        float(clear.sigma_m.flat[0]),
+        None if electrons is None else electrons * float(clear.amplitude.flat[0]) * (n_acc or 1),
         n_acc,
         _reason(_stack(images, "why")),
     )
@@ -140,18 +141,19 @@ def measure(
     return [_ranged(raw, config, region, plan) for raw in raws], float(np.mean(counts)) if counts else None
 
 
-def expected_sigma_m(config: Config, region: Region, range_m: Floats, reflectivity: float, plan: Plan) -> Floats:
-    """Return what the ranging method says of its noise where the samples have none, m (N,): its closed form.
+def without_noise(config: Config, region: Region, target: tuple[float, float], plan: Plan) -> RangeImage:
+    """Return the range image of a target whose samples have no noise; its sigma is the closed form of the method."""
+    view = _squarely(np.full((region.camera.rows, region.camera.columns), target[0]), target[1], plan)
+    return RANGING[config.ranging](_take(quiet(region.camera), view, 0, np.random.default_rng(0)), region.camera)
 
-    range_m (N,): of targets of one reflectivity. NaN where it gives no range.
+
+def expected_sigma_m(config: Config, region: Region, range_m: Floats, reflectivity: float, plan: Plan) -> Floats:
+    """Return what the chain says of its noise where the samples have none, m (N,); NaN where it gives no range.
+
+    range_m (N,): of targets of one reflectivity.
     """
-    camera = quiet(region.camera)
-    result = np.empty(len(range_m))
-    for i, distance_m in enumerate(range_m):
-        view = _squarely(np.full((camera.rows, camera.columns), distance_m), reflectivity, plan)
-        image = RANGING[config.ranging](_take(camera, view, 0, np.random.default_rng(0)), region.camera)
-        result[i] = image.sigma_m.flat[0]
-    return result
+    images = (without_noise(config, region, (float(at_m), reflectivity), plan) for at_m in range_m)
+    return np.array([image.sigma_m.flat[0] for image in images])
 
 
 def reach_m(config: Config, plan: Plan) -> tuple[float, float]:
@@ -160,7 +162,7 @@ def reach_m(config: Config, plan: Plan) -> tuple[float, float]:
     Found by trial, of every method alike: samples without noise of targets whose brightness does not fall with the
     range, in many brightnesses. NaN if there is no such range.
     """
-    low, high = _LEAST_M, _MOST_M
+    low, high = TRIED_FROM_M, _TRIED_TO_M
     steps = np.geomspace(low, high, 500)
     for _ in range(2):
         good = _measurable(config, steps, plan)
@@ -175,15 +177,16 @@ def reach_m(config: Config, plan: Plan) -> tuple[float, float]:
 
 
 def _measurable(config: Config, range_m: Floats, plan: Plan) -> Any:
-    """Return at which ranges (N,) some brightness gives a valid range near the truth."""
-    camera = quiet(config.camera)
-    pixels: dict[str, Any] = {"rows": len(_BRIGHTNESS), "columns": len(range_m), "lens": _ON_AXIS, **_all_lit(camera)}
-    camera = replace(camera, **pixels)
-    ranges = np.broadcast_to(range_m, (len(_BRIGHTNESS), len(range_m)))
-    view = View(ranges[None], (_BRIGHTNESS[:, None] * ranges**2)[None], np.ones((1, *ranges.shape)))
-    image = RANGING[config.ranging](_take(camera, view, 0, np.random.default_rng(0)), replace(config.camera, **pixels))
-    close = np.abs(image.range_m - ranges) < 0.1 * ranges + 0.3  # not so if the range is wrapped
-    return (image.valid & close).any(axis=0)
+    """Return at which ranges (N,) some brightness gives a valid range near the truth that grows with it."""
+    ranging = DESIGNED[config.camera.kind].alike(config.camera, config.camera.columns // 2)
+    ranging = replace(ranging, rows=len(_BRIGHTNESS), columns=2 * len(range_m), lens=_ON_AXIS)
+    both_m = np.broadcast_to(np.concatenate([(1 - _A_LITTLE) * range_m, range_m]), (ranging.rows, ranging.columns))
+    view = View(both_m[None], (_BRIGHTNESS[:, None] * both_m**2)[None], np.ones((1, *both_m.shape)))
+    image = RANGING[config.ranging](_take(quiet(ranging), view, 0, np.random.default_rng(0)), ranging)
+    nearer_m, found_m = np.split(image.range_m.astype(np.float64), 2, axis=1)
+    grown = found_m - nearer_m > _A_LITTLE * range_m / 2  # not so where the method is at its limit
+    close = np.abs(found_m - range_m) < 0.1 * range_m + 0.5  # not so where the range is wrapped
+    return (image.valid[:, len(range_m) :] & grown & close).any(axis=0)
 
 
 def _squarely(range_m: Image, reflectivity: float, plan: Plan) -> View:

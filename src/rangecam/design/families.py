@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rangecam.cw import CwCamera
+from rangecam.cw.sequence import fastest_frame_rate_hz
+from rangecam.errors import UsageError
 from rangecam.processed import ProcessedCamera
 from rangecam.pulsed import PulsedCamera
-from rangecam.pulsed.camera import max_frame_rate_hz
+from rangecam.pulsed.feasible import max_frame_rate_hz, warnings_of
+from rangecam.pulsed.laser import beam_profile
 from rangecam.pulsed.pixel import ELEMENTARY_CHARGE_C, volts_per_coulomb
 
 AnyCamera = PulsedCamera | CwCamera | ProcessedCamera
@@ -19,14 +22,16 @@ _NO_FLOOR_M = 1e-9
 class Family:
     """How a family answers.
 
-    noise: the parts of the noise by name, and what switches each off. electrons: per unit of amplitude, None where
-    unknown. fastest_hz: the most images a second, None where the camera does not say.
+    noise: the camera without each part of its noise, by name. alike: the camera whose pixels all are as that in a
+    column. electrons: per unit of amplitude, None where unknown. fastest_hz: the most images a second, None where the
+    camera does not say. warnings: of what works but should not be built so.
     """
 
     noise: Callable[[Any], dict[str, Any]]
+    alike: Callable[[Any, int], Any]
     electrons: Callable[[Any], float | None]
     fastest_hz: Callable[[Any], float | None]
-    counted: str
+    warnings: Callable[[Any], list[str]]
 
 
 def _pulsed_noise(camera: PulsedCamera) -> dict[str, PulsedCamera]:
@@ -36,15 +41,17 @@ def _pulsed_noise(camera: PulsedCamera) -> dict[str, PulsedCamera]:
             "read-out noise": replace(camera, taps=replace(taps, read_noise_counts=0.0)),
             "shot noise": replace(camera, taps=replace(taps, shot_noise_counts2_per_count=0.0)),
         }
-    pixel = camera.pixel
-    without: dict[str, dict[str, Any]] = {
-        "sensor noise": {"sensor_noise_v": 0.0},
-        "read-out noise": {"readout_noise_v": 0.0},
-        "shot noise": {"photon_noise": False},
-        "rounding": {"adc_bits": 0},
-        "fixed pattern": {"fixed_pattern_v": 0.0, "fixed_pattern_per_pulse_v": 0.0},
+    pixel, laser = camera.pixel, camera.laser
+    even = {name: 0.0 for name in vars(pixel) if name.startswith("fixed_pattern_") and not name.endswith("seed")}
+    return {
+        "sensor noise": replace(camera, pixel=replace(pixel, sensor_noise_v=0.0)),
+        "read-out noise": replace(camera, pixel=replace(pixel, readout_noise_v=0.0)),
+        "shot noise": replace(camera, pixel=replace(pixel, photon_noise=False)),
+        "rounding": replace(camera, pixel=replace(pixel, adc_bits=0)),
+        "fixed pattern": replace(camera, pixel=replace(pixel, offset_drift_spread_vpk=0.0, **even)),
+        "laser jitter": replace(camera, laser=replace(laser, trigger_jitter_s=0.0, amplitude_jitter=0.0)),
+        "changing ambient light": replace(camera, background=replace(camera.background, fluctuation=0.0)),
     }
-    return {name: replace(camera, pixel=replace(pixel, **changes)) for name, changes in without.items()}
 
 
 def _cw_noise(camera: CwCamera) -> dict[str, CwCamera]:
@@ -52,6 +59,11 @@ def _cw_noise(camera: CwCamera) -> dict[str, CwCamera]:
         "read-out noise": replace(camera, read_noise_lsb=0.0),
         "shot noise": replace(camera, shot_noise_lsb2_per_lsb=0.0),
         "rounding": replace(camera, quantisation_lsb=0.0),
+        "fixed pattern": replace(
+            camera,
+            fixed_pattern=replace(camera.fixed_pattern, range_sigma_m=0.0, gain_sigma=0.0, offset_sigma_lsb=0.0),
+        ),
+        "interference": replace(camera, interference=replace(camera.interference, strength=0.0)),
     }
 
 
@@ -75,14 +87,33 @@ def _cw_electrons(camera: CwCamera) -> float | None:
     return 1 / (shot * camera.demodulation_contrast) if shot else None
 
 
-def _cw_fastest_hz(camera: CwCamera) -> float:
-    return 1 / (4 * (camera.illumination_time_s + camera.readout_time_s))
+def _pulsed_alike(camera: PulsedCamera, column: int) -> PulsedCamera:
+    """Return the camera with an even beam, as bright as its own is in a column, and as warm."""
+    laser = camera.laser
+    factor = float(beam_profile(laser, camera.columns)[column])
+    if factor == 0:
+        raise UsageError(f"camera.laser.beams: no light falls into column {column}, which the design looks at")
+    even = replace(
+        laser,
+        beams=((-1.0, 1.0),),
+        peak_power_w=factor * laser.peak_power_w,
+        loss_per_w=laser.loss_per_w / factor,
+    )
+    return replace(camera, laser=even)
+
+
+def _cw_alike(camera: CwCamera, column: int) -> CwCamera:
+    """Return the camera with light in every pixel: without rows of data, and nothing near that could reflect."""
+    alone = replace(camera.multipath, two_bounces=False)
+    return replace(camera, pseudo_rows=0, region_of_interest=None, multipath=alone)
 
 
 DESIGNED: dict[str, Family] = {
-    "pulsed": Family(_pulsed_noise, _pulsed_electrons, max_frame_rate_hz, "of one pulse"),
-    "cw": Family(_cw_noise, _cw_electrons, _cw_fastest_hz, "of one phase image"),
-    "processed": Family(_processed_noise, lambda camera: None, lambda camera: None, ""),
+    "pulsed": Family(_pulsed_noise, _pulsed_alike, _pulsed_electrons, max_frame_rate_hz, warnings_of),
+    "cw": Family(_cw_noise, _cw_alike, _cw_electrons, fastest_frame_rate_hz, lambda camera: []),
+    "processed": Family(
+        _processed_noise, lambda camera, column: camera, lambda camera: None, lambda camera: None, lambda camera: []
+    ),
 }
 """Families by the `kind` of their settings."""
 

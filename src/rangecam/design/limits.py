@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rangecam.config import Config
-from rangecam.design.experiment import Point, Region, measure, observe
+from rangecam.design.experiment import TRIED_FROM_M, Point, Region, measure, observe
 from rangecam.design.families import DESIGNED, AnyCamera
 from rangecam.design.settings import Plan
 from rangecam.types import Why
 
 _HALVINGS = 6
 _SATURATED_FRAMES = 4
-_NEAREST_M = 0.02
 _WORTH_NAMING = 0.05
 
 _MEANING = {
@@ -135,7 +134,7 @@ def saturated_below_m(
         images, _ = measure(config, few, (range_m, reflectivity), plan, np.random.default_rng(0))
         return float(np.mean([image.why == Why.SATURATED for image in images])) > 0.5
 
-    steps = np.geomspace(max(reach[0], _NEAREST_M), reach[1], 30)
+    steps = np.geomspace(max(reach[0], TRIED_FROM_M), reach[1], 30)
     full = [saturated(float(range_m)) for range_m in steps]
     if not any(full):
         return 0.0

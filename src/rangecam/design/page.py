@@ -6,6 +6,7 @@ from typing import Any
 
 from rangecam.design import figures
 from rangecam.design.analysis import Design
+from rangecam.design.experiment import TRIED_FROM_M
 from rangecam.design.limits import Limits
 from rangecam.report.template import page, section
 
@@ -55,7 +56,7 @@ def _numbers(design: Design) -> list[str]:
     lines = [
         f"{design.name}: {n['camera']}, {n['columns']} x {n['rows']} pixels, "
         f"{n['field_of_view_deg'][0]:.4g} x {n['field_of_view_deg'][1]:.4g} degrees",
-        f"measurement range  {_m(near)} to {_m(far)} ({n['ranging']})",
+        f"measurement range  {_span(near, far)} ({n['ranging']})",
         f"frame rate         {n['frame_rate_hz']:.4g} Hz" + (f", at most {fastest:.4g} Hz" if fastest else ""),
         f"raw data           {n['bytes_per_frame']} bytes a frame, {n['mbit_per_s']:.4g} Mbit/s "
         f"({', '.join(n['raw_planes'])})",
@@ -137,6 +138,12 @@ def _points(design: Design) -> list[str]:
             f"{100 * p.error.value / p.range_m:8.3f} {count:>8} {p.refused}"
         )
     return lines
+
+
+def _span(near: float | None, far: float | None) -> str:
+    if near is None or far is None:
+        return "none: no target of whatever brightness is ranged right"
+    return f"{'up' if near <= TRIED_FROM_M else _m(near)} to {_m(far)}"
 
 
 def _m(value: float | None) -> str:

@@ -2,7 +2,8 @@
 
 Errors of one pixel may have a part in common (a fixed pattern), and so may errors of one image (the laser's jitter).
 The variance of a mean over images and pixels therefore counts both ways of grouping them (Cameron, Gelbach and Miller
-2011, two-way clustering), and at least that of independent values.
+2011, two-way clustering), and at least that of independent values. Of few groups that differ much the intervals are
+a little short: where a fixed pattern dominates, 64 pixels hold 93 % instead of 95 %.
 """
 
 import math
