@@ -22,12 +22,12 @@ MODELS: dict[str, MotionSettings] = {
     "Singer, level": MotionSettings(model="singer", drift_mps2=4.0, memory_s=0.5, vertical_share=0.02),
     "interacting": MotionSettings(
         modes=(
-            Mode(model="constant_velocity", velocity_drift_mps=0.02),  # keeps its way
-            Mode(model="constant_velocity", velocity_drift_mps=0.55),  # wanders
-            Mode(model="singer", drift_mps2=5.0, memory_s=1.0),  # brakes, starts, swerves
+            Mode(model="constant_velocity", velocity_drift_mps=0.04),  # keeps its way
+            Mode(model="constant_velocity", velocity_drift_mps=0.6),  # wanders
+            Mode(model="singer", drift_mps2=4.9, memory_s=1.3),  # brakes, starts, swerves
         ),
-        mode_memory_s=1.4,
-        vertical_share=0.02,
+        mode_memory_s=2.2,
+        vertical_share=0.01,
     ),
 }
 """Motion models by name, each with one set of parameters for both scenes; level: hardly any motion upwards, of which
