@@ -365,3 +365,26 @@ def test_presets_see_a_wall_in_front_of_them(preset):
     image = RANGING[config.ranging](raw, config.camera)
     assert image.valid.mean() > 0.95
     assert np.median(image.range_m) == pytest.approx(3.0, abs=0.02)
+
+
+def test_a_warm_sensor_in_darkness_reads_its_drift():
+    """K-PIX-16: the same at every number of accumulations, as it belongs to the read-out."""
+    for n in (1, 100):
+        camera = replace(CAMERA, temperature_c=40.0, pixel=replace(SILENT, offset_drift_vpk=0.1e-3, accumulations=(n,)))
+        planes = shoot(wall(np.inf, 0.0, camera), camera).planes
+        np.testing.assert_allclose(planes["shutter_a"], 1.5e-3, rtol=1e-6)
+
+
+def test_alternating_shutters_leave_a_moving_object_its_range():
+    """K-FUT-03: 15 m/s; the sequential ones are wrong by more than 5 cm."""
+    errors_m = {}
+    for order in ("sequential", "alternating"):
+        camera = replace(ONE, pixel=SILENT, shutter_order=order)
+
+        def approaching(time_s, camera=camera):
+            return wall(10.0 - 15.0 * time_s, 0.5, camera)(time_s)
+
+        image = RANGING["mdsi3"](simulate(approaching, camera, 0.2, np.random.default_rng(0)), camera)
+        errors_m[order] = abs(image.range_m[0, 0] - 7.0)
+    assert errors_m["sequential"] > 0.05
+    assert errors_m["alternating"] == pytest.approx(errors_m["sequential"] / 100, rel=0.1)

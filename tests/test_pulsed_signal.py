@@ -16,6 +16,7 @@ from rangecam.pulsed.signal import (
     correlate,
     correlation_curve,
     gate_windows,
+    pulse_shape,
     shutter_windows,
     trapezoid,
 )
@@ -124,3 +125,58 @@ def test_gates_follow_each_other_and_are_as_long_as_the_pulse_unless_said():
 def test_edges_longer_than_the_shape_are_refused_by_name(wrong):
     with pytest.raises(UsageError, match=f"camera.{next(iter(wrong))}"):
         collected_s(np.array(0.0), (0.0, 180e-9), replace(IDEAL, **wrong))
+
+
+# --- measured shapes ---------------------------------------------------------------------------------------------
+
+
+def test_the_older_sensor_begins_to_see_300_ns_before_its_switch():
+    """K-SHU-02, E-K-31: the opening edge, not the closing one."""
+    old = replace(SOFT, shutter_opening_s=300e-9, shutter_a_width_s=390e-9, shutter_b_width_s=390e-9)
+    window = shutter_windows(old)["b"]
+    assert window == pytest.approx((390e-9 - 150e-9, 780e-9 - 32.5e-9))
+    dirac = replace(old, pulse_width_s=100e-12, pulse_rise_s=0.0, pulse_fall_s=0.0)
+    delays_s = np.linspace(50e-9, 850e-9, 300)
+    sampled = collected_s(delays_s, window, dirac) / 100e-12
+    np.testing.assert_allclose(sampled, trapezoid(delays_s, window, 300e-9, 65e-9), atol=3e-3)
+    assert sampled[delays_s < 90e-9].max() == 0
+    assert np.interp(390e-9, delays_s, sampled) == pytest.approx(1, abs=3e-3)
+    assert shutter_windows(replace(SOFT, shutter_opening_s=65e-9)) == shutter_windows(SOFT)
+
+
+def test_an_opening_edge_of_300_ns_lets_window_b_see_what_is_in_window_a_already():
+    """5.1.3: why only MDSI1, whose windows a and c close on the pulse, could be used with the older sensor."""
+    old = replace(SOFT, shutter_opening_s=300e-9, shutter_a_width_s=390e-9, shutter_b_width_s=390e-9)
+    new = replace(old, shutter_opening_s=None)
+    delays_s = np.linspace(150e-9, 400e-9, 100)
+    a, b, c = (
+        np.array([collected_s(delays_s, shutter_windows(camera)[name], camera) for camera in (old, new)])
+        for name in "abc"
+    )
+    np.testing.assert_allclose(a[0], a[1], atol=1e-12)
+    assert np.abs(a + b - c)[1].max() < 1e-12
+    assert (a + b - c)[0].max() > 0.3 * 180e-9
+
+
+def test_rounded_edges_keep_the_energy_and_have_no_corners():
+    rounded = replace(SOFT, pulse_edges="rounded")
+    wide = (-100e-9, 500e-9)
+    assert collected_s(np.array(100e-9), wide, rounded) == pytest.approx(180e-9, rel=1e-4)
+    time_s = np.linspace(-40e-9, 220e-9, 4001)
+    straight, smooth = (pulse_shape(time_s, camera) for camera in (SOFT, rounded))
+    assert np.abs(np.diff(smooth, 2)).max() < 0.05 * np.abs(np.diff(straight, 2)).max()
+    for at_s in (0.0, 180e-9):
+        assert np.interp(at_s, time_s, smooth) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_rounded_plateau_is_lower_at_its_ends_and_loses_a_third_of_that_in_energy():
+    camera = replace(IDEAL, pulse_rounding=0.3)
+    inside_s = np.array([1e-9, 90e-9, 179e-9])
+    np.testing.assert_allclose(pulse_shape(inside_s, camera), [0.7, 1.0, 0.7], atol=0.01)
+    assert collected_s(np.array(50e-9), (0.0, 500e-9), camera) == pytest.approx(180e-9 * (1 - 0.1), rel=1e-3)
+
+
+def test_a_long_opening_edge_needs_a_longer_window():
+    wrong = replace(IDEAL, shutter_opening_s=400e-9)
+    with pytest.raises(UsageError, match=r"camera\.shutter_edge_s = 0, camera\.shutter_opening_s = 4e-07"):
+        collected_s(np.array(0.0), (0.0, 180e-9), wrong)
