@@ -16,23 +16,22 @@ def scatter(light: Floats, scattering: Scattering) -> Floats:
     """
     if not scattering.stray_fraction:
         return light
-    down, across = scattering_matrices(scattering.width, light.shape[-2:])
+    height, columns = light.shape[-2:]
+    (out_down, in_down), (out_across, in_across) = (_spread(n, scattering.width * columns) for n in (height, columns))
     stray = light.dtype.type(scattering.stray_fraction)
-    result: Floats = light * (1 - stray) + (down @ light @ across.T) * stray
+    spread = out_down @ (in_down @ light @ in_across.T) @ out_across.T
+    result: Floats = light * (1 - stray) + spread * stray
     return result
 
 
-@lru_cache(maxsize=8)
-def scattering_matrices(width: float, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return the matrices (H, H) and (W, W) float32 that spread each column and each row: down @ image @ across.T."""
-    height, columns = shape
-    return _gaussian(height, width * columns), _gaussian(columns, width * columns)
+@lru_cache(maxsize=16)
+def _spread(count: int, sigma: float) -> tuple[Floats, Floats]:
+    """Return the matrix that spreads a line of `count` pixels by a Gaussian, as the product of two float32 matrices.
 
-
-def _gaussian(count: int, sigma: float) -> Floats:
-    """Return the part of the light of each pixel (second axis) that lands on each pixel (first axis) of a line."""
+    A wide Gaussian is smooth, so that a few of the components of its singular value decomposition are all of it.
+    """
     offsets = np.subtract.outer(np.arange(count), np.arange(count))
     falls = np.exp(-0.5 * (offsets / sigma) ** 2)
-    result: Floats = (falls / falls.sum(axis=0)).astype(np.float32)
-    result.setflags(write=False)
-    return result
+    u, size, v = np.linalg.svd(falls / falls.sum(axis=0))  # of what each pixel sends, all arrives
+    kept = size > 1e-8 * size[0]
+    return (u[:, kept] * size[kept]).astype(np.float32), v[kept].astype(np.float32)
