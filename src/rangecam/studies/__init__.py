@@ -6,6 +6,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
 - pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
 - tracking_models: the motion models side by side
+- arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
 """
 
 from collections.abc import Callable
@@ -13,6 +14,8 @@ from collections.abc import Callable
 import numpy as np
 
 from rangecam.errors import UsageError, did_you_mean
+from rangecam.studies.arctangents import arctangents
+from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
 from rangecam.studies.pulsed_correlation import pulsed_correlation
@@ -31,6 +34,8 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-distance": pulsed_distance,
     "eye-safety": eye_safety,
     "tracking-models": tracking_models,
+    "arctangents": arctangents,
+    "emulation": emulation,
 }
 """Studies by name."""
 
