@@ -89,7 +89,7 @@ def conversion(camera: CwCamera, shape: tuple[int, int]) -> Ints:
 
 def cosine_table(pitch_deg: float, count: int, power: float = 1.0) -> Ints:
     """Return the cosines, to a power, of the angles 0, one pitch .. half of `count` pitches, in 2^-15 (N-S-027)."""
-    angles = np.radians(pitch_deg * np.arange(count // 2 + 1))
+    angles = np.radians(pitch_deg * np.arange((count + 1) // 2 + 1))
     entries: Ints = np.rint(np.cos(angles) ** power * 2**COSINE_BITS).astype(np.int64)
     return entries
 
