@@ -2,6 +2,7 @@
 
 import itertools
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import median_filter
 from scipy.stats import norm
 
+from rangecam.cameras.simulated import frames
 from rangecam.clean import FILTERS, STAGES, CleanSettings, clean, clean_stages, shared_noise_pixels
 from rangecam.clean.limits import area_of_interest, fit_floor, floor_limit, reference_amplitude
 from rangecam.clean.median import median
 from rangecam.clean.neighbours import Kept
 from rangecam.config import load_config
 from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
+from rangecam.pipeline import RANGING
+from rangecam.scene.paths import Path as Way
+from rangecam.scene.render import ray_bundle, render
+from rangecam.scene.scenario import Scenario
+from rangecam.scene.shapes import Box, Cylinder, SceneObject
 from rangecam.types import RangeImage, Why
 
 WIDE = Lens(horizontal_fov_deg=80, vertical_fov_deg=60, projection="equiangular")
@@ -439,6 +446,136 @@ def test_more_total_variation_leaves_less_noise():
     source = wall((80, 100), sigma_m=0.03)
     left = [cleaned(source, filter="total_variation", total_variation=x).range_m.std() for x in (0.1, 1.0, 5.0)]
     assert 0.03 > left[0] > 1.5 * left[1] > 2 * left[2]
+
+
+# --- flying pixels
+
+
+def edge_scene(seed, sigma_gain=600.0, subpixels=4):
+    """Return image, rays of each pixel (16, H, W) and config: wall, floor, box, board and pole."""
+    wall_ = SceneObject(
+        name="wall", boxes=(Box(center_m=(0.5, 0, 0), size_m=(1, 30, 30)),), path=Way(start_m=(4, 0, 0))
+    )
+    box = SceneObject(name="box", boxes=(Box(center_m=(0.1, 0, 0.25), size_m=(0.2, 0.5, 0.5)),),
+                      path=Way(start_m=(2.2, 0.35, 0)), heading_deg=20)  # fmt: skip
+    board = SceneObject(name="board", boxes=(Box(center_m=(0, 0, 0.6), size_m=(0.05, 0.6, 0.8)),),
+                        path=Way(start_m=(3.0, -0.9, 0)), heading_deg=-35)  # fmt: skip
+    pole = SceneObject(name="pole", cylinders=(Cylinder(base_m=(0, 0, 0), radius_m=0.08, height_m=1.2),),
+                       path=Way(start_m=(1.7, -0.35, 0)))  # fmt: skip
+    scenario = Scenario(name="edges", description="", preset="", duration_s=1, subpixels=subpixels,
+                        ground_reflectivity=0.4, objects=(wall_, box, board, pole))  # fmt: skip
+    camera = {"modulation_hz": 20e6, "read_noise_lsb": 0.5, "shot_noise_lsb2_per_lsb": 0.002, "full_scale_lsb": None,
+              "lower_limit_lsb": None, "quantisation_lsb": 0.0, "reference_amplitude_lsb": 4 * sigma_gain,
+              "pseudo_rows": 0,
+              "lens": {"horizontal_fov_deg": 60, "vertical_fov_deg": 46, "projection": "perspective"}}  # fmt: skip
+    config = load_config("generic_cw", {"camera": {**camera, "rows": 120, "columns": 160}, "mounting": {"z_m": 0.5}})
+    capture = next(iter(frames(scenario, config, seed)))
+    bundle = ray_bundle(config.camera.lens, config.mounting, (120, 160), subpixels)
+    return RANGING["cw_four_phase"](capture.raw, config.camera), render(scenario, 0.0, bundle).range_m, config
+
+
+@pytest.mark.parametrize("gain", [600.0, 1500.0])
+def test_no_gross_flying_pixel_survives_and_few_good_pixels_are_lost(gain):
+    """Gross: over 30 mm from every surface that the pixel sees; 9 and 4.5 mm of noise; floor at grazing incidence."""
+    for seed in range(3):
+        source, seen_m, config = edge_scene(seed, gain)
+        mixed = np.diff(np.sort(seen_m, axis=0), axis=0).max(axis=0) > 0.06
+        kept = {}
+        for reject in (False, True):
+            changes = replace(config.clean, reject_flying=reject)
+            result = clean(source, config.camera.lens, config.mounting, changes)
+            gross = mixed & (np.abs(result.range_m - seen_m).min(axis=0) > 0.03)
+            kept[reject] = (gross & result.valid).sum()
+            good = ~mixed & source.valid
+        assert kept[False] > 25
+        assert kept[True] == 0
+        assert (good & ~result.valid).sum() < 0.03 * good.sum()
+        assert (result.why == Why.FLYING).sum() > 100
+
+
+def test_a_slope_flies_only_where_it_steps():
+    flat = np.array([[2.0, 2.0, 2.0, 2.5, 3.0, 3.0, 3.0]]) * np.ones((7, 1))
+    incline = np.array([[2.0, 2.2, 2.4, 2.6, 2.8, 3.0, 3.2]]) * np.ones((7, 1))
+    step = np.zeros((7, 7), bool)
+    step[:, 3] = True
+    never = np.zeros((7, 7), bool)
+    for range_m, expected in ((flat, step), (incline, never), (flat.T, step.T), (incline.T, never)):
+        found = cleaned(image(range_m, 0.001), reject_flying=True, min_neighbours=0).why == Why.FLYING
+        assert_array_equal(found[2:-2, 2:-2], expected[2:-2, 2:-2])
+
+
+def test_tolerances_of_flying_pixels_are_a_constant_and_the_noise():
+    step = np.array([[2.0, 2.0, 2.1, 2.2, 2.2]])
+    for changes, flies in (
+        ({"flying_tolerance_m": 0.09, "flying_tolerance_sigmas": 0.0}, True),
+        ({"flying_tolerance_m": 0.11, "flying_tolerance_sigmas": 0.0}, False),
+        ({"flying_tolerance_m": 0.0, "flying_tolerance_sigmas": 3.0}, False),
+        ({"flying_tolerance_m": 0.0, "flying_tolerance_sigmas": 2.0}, True),
+    ):
+        result = cleaned(image(step, 0.03), reject_flying=True, min_neighbours=0, **changes)
+        assert (result.why[0, 2] == Why.FLYING) == flies
+
+
+# --- over time
+
+
+def settled(speed, frames_=40, **changes):
+    """Return z scores and sigma of 20 images of a wall that comes nearer by `speed` m a frame, below one at rest."""
+    rng, before, z = np.random.default_rng(0), None, []
+    for k in range(frames_):
+        truth = np.where(np.arange(80) < 40, 4.0, 5.0 - speed * k)[:, None] * np.ones((80, 100))
+        before = clean(image(truth + 0.03 * rng.standard_normal(truth.shape), 0.03), LENS, LEVEL,
+                       CleanSettings(temporal_frames=8.0, **changes), before)  # fmt: skip
+        if k >= frames_ - 20:
+            z.append(((before.range_m - truth) / before.sigma_m)[44:])
+    return np.array(z), before.sigma_m
+
+
+@pytest.mark.parametrize("name", ["off", "median"])
+def test_average_over_time_lowers_the_noise_of_what_rests_and_its_sigma_stays_true(name):
+    z, sigma = settled(0.0, filter=name)
+    _, single = settled(0.0, frames_=20, filter=name, temporal_gate_sigmas=1e-6)
+    assert sigma.mean() < 0.5 * single.mean()
+    assert 0.65 < np.mean(np.abs(z) < 1) < 0.77  # on the safe side: noise may pass for motion
+    assert 0.93 < np.mean(np.abs(z) < norm.ppf(0.975)) < 0.98
+
+
+@pytest.mark.parametrize("speed", [0.005, 0.02, 0.05, 0.2])
+def test_what_moves_slowly_is_averaged_less_and_what_jumps_begins_anew(speed):
+    z, sigma = settled(speed)
+    assert 0.62 < np.mean(np.abs(z) < 1) < 0.74
+    assert np.mean(np.abs(z) < norm.ppf(0.975)) > 0.91
+    assert abs(z.mean()) < 0.6
+    if speed == 0.2:
+        fresh = cleaned(wall((80, 100), 4.0, 0.03))
+        assert sigma[50:70, 20:80].mean() == pytest.approx(fresh.sigma_m[50:70, 20:80].mean(), rel=0.1)
+
+
+def test_pixels_new_in_an_image_begin_anew_and_other_shapes_are_forgotten():
+    source = wall((20, 30))
+    why = np.zeros((20, 30))
+    why[5] = Why.NO_SIGNAL
+    changes = CleanSettings(temporal_frames=4.0)
+    alone = clean(source, LENS, LEVEL, changes)
+    after = clean(source, LENS, LEVEL, changes, clean(image(source.range_m, 0.02, why=why), LENS, LEVEL, changes))
+    assert_array_equal(after.sigma_m[5], alone.sigma_m[5])
+    assert (after.sigma_m[8:] < alone.sigma_m[8:]).all()
+    other = clean(source, LENS, LEVEL, changes, wall((10, 30)))
+    assert_array_equal(other.range_m, alone.range_m)
+
+
+def test_a_run_hands_each_image_to_the_next_frame_and_repeats_bit_for_bit():
+    import rangecam
+
+    def images(**settings_):
+        source = rangecam.open_source("scenario:test-scene", layers=[{"clean": settings_}])
+        return [f.image for f, _ in zip(rangecam.run(source.captures, source.config), range(3), strict=False)]
+
+    first, again, plain = images(temporal_frames=4.0), images(temporal_frames=4.0), images()
+    for a, b in zip(first, again, strict=True):
+        assert_array_equal(a.range_m, b.range_m)
+    both = first[2].valid & plain[2].valid
+    assert np.median(first[2].sigma_m[both] / plain[2].sigma_m[both]) < 0.95
 
 
 # --- floor

@@ -15,6 +15,7 @@ from rangecam.classify import classify
 from rangecam.clean import clean
 from rangecam.config import Config
 from rangecam.geometry import to_world
+from rangecam.hdr import ranged
 from rangecam.segmentation import SEGMENTATION, measure_segments
 from rangecam.tracking import update_tracks
 from rangecam.types import Capture, Ego, Frame, RangeImage, RawFrame, Tracks
@@ -42,7 +43,7 @@ def process_frame(
     `before` is the image of the last frame, for cleaning that averages over time.
     """
     camera, lens, mounting = config.camera, config.camera.lens, config.mounting
-    image = step("ranging", RANGING[config.ranging], raw, camera)
+    image = step("ranging", ranged, RANGING[config.ranging], raw, camera)
     image = step("clean", clean, image, lens, mounting, config.clean, before)
     points = step("geometry", to_world, image, lens, mounting)
     labels = step("segmentation", SEGMENTATION[config.segmentation], image, points, config.segments)

@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 from rangecam.clean.settings import CleanSettings
 from rangecam.types import Floats, Ints
 
+_TWO = np.float32(2)
+
 
 def flying(range_m: Floats, sigma_m: Floats, why: Ints, settings: CleanSettings) -> NDArray[np.uint8]:
     """Return which pixels fly, (H, W) uint8: 1 where a pixel lies between two surfaces and belongs to neither.
 
     It flies if along one of the four lines through it the range steps on both sides, in the same sense, by more than
-    noise explains, and neither step goes on beyond: on an inclined surface the neighbour differs from the next but one
-    as the pixel differs from the neighbour (within a factor of two), so that no floor is eaten. Only pixels that came
-    in valid are asked. Where the noise is greater than the distance between the surfaces nothing can be told.
+    noise explains, and neither step is seen to go on: on an inclined surface the neighbour differs from the next but
+    one as the pixel differs from the neighbour (within a factor of two), so that no floor is eaten. Only pixels that
+    came in valid are asked. Where the noise is greater than the distance between the surfaces nothing can be told; and
+    two surfaces more than half the unambiguous range of a continuous-wave camera apart mix to a range outside of both.
     """
     height, width = why.shape
     came, reach = np.full((2, height + 4, width + 4), np.nan, np.float32)
@@ -48,12 +51,12 @@ def _find(came: Floats, reach: Floats, between: Ints) -> None:
                 k = x + 2
                 step0, step1 = here[k] - near0[k - right], near1[k + right] - here[k]
                 jump0, jump1 = abs(step0) > own[k] + reach0[k - right], abs(step1) > own[k] + reach1[k + right]
-                goes_on = _alike(step0, near0[k - right] - far0[k - 2 * right])
-                goes_on |= _alike(step1, far1[k + 2 * right] - near1[k + right])
+                beyond0, beyond1 = near0[k - right] - far0[k - 2 * right], far1[k + 2 * right] - near1[k + right]
+                goes_on = _alike(step0, beyond0) | _alike(step1, beyond1)
                 found[x] |= jump0 & jump1 & (step0 * step1 > 0) & ~goes_on
 
 
 @njit(cache=True, nogil=True)
 def _alike(step: float, beyond: float) -> Any:
     """Return whether a step goes on: in the same sense, half as large to twice as large."""
-    return (step * beyond > 0) & (2 * abs(beyond) >= abs(step)) & (abs(beyond) <= 2 * abs(step))
+    return (step * beyond > 0) & (abs(step) <= _TWO * abs(beyond)) & (abs(beyond) <= _TWO * abs(step))

@@ -101,7 +101,7 @@ def _median(why: Ints, around: Floats, window: Floats, floor: Floats, middle: Fl
             v6, v4 = _order(v6, v4)
             v4, v2 = _order(v4, v2)
             out[x] = v4 if w1[x + 1] > _ZERO else out[x]
-            precision = weight / number
+            precision = weight / number if w1[x + 1] > _ZERO else _ONE
             steep = uneven * precision * precision - _HALF * _HALF * (number - _ONE)  # less what noise makes of it
             noise = np.sqrt(_variance(number, steep)) / precision
             sigma[x] = noise if w1[x + 1] > _ZERO else sigma[x]

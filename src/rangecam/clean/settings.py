@@ -36,7 +36,7 @@ class CleanSettings:
     """Refuse pixels between two surfaces (FLYING)."""
     flying_tolerance_m: NonNegative = 0.01
     """A flying pixel differs from its neighbours on both sides by more than this, ..."""
-    flying_tolerance_sigmas: NonNegative = 2.5
+    flying_tolerance_sigmas: NonNegative = 2.0
     """... plus so many standard deviations of the difference."""
     filter: Literal["off", "median", "mean", "bilateral", "cross_bilateral", "total_variation"] = "median"
     """How the valid pixels around each valid pixel lower its noise, a key of `clean.FILTERS`."""
