@@ -120,13 +120,21 @@ class CwCamera:
     of the camera's own light over 80 x 60 degrees make the level of the reference."""
 
     waveform: Waveform = Waveform()
+    """Shape of light and reference signal (simulation): wiggling."""
     taps: Taps = Taps()
+    """What the taps of a pixel can hold (simulation): overexposure, ambient light."""
     fixed_pattern: FixedPattern = FixedPattern()
+    """What differs from pixel to pixel (simulation)."""
     temperature: Temperature = Temperature()
+    """Drift of the range with the temperature (simulation)."""
     scattering: Scattering = Scattering()
+    """Stray light of the lens (simulation)."""
     multipath: Multipath = Multipath()
+    """Light that comes by way of a second surface (simulation)."""
     interference: Interference = Interference()
+    """A second camera beside ours (simulation)."""
     link: Link = Link()
+    """The interface to the processor and its faults (simulation)."""
     mixed_pixels: bool = True
     """All rays of a pixel count (simulation); false: the middle one alone, so that no pixel mixes two surfaces."""
     freeze_motion: bool = False
