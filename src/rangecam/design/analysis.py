@@ -17,7 +17,7 @@ from rangecam.design.settings import Plan
 from rangecam.scene.view import View
 from rangecam.types import Floats
 
-_CURVE = 160
+_CURVE = 120
 _NEAR_STEPS = (1 / 100, 1 / 60, 1 / 40, 1 / 30)
 _STEPS = 20
 

@@ -24,7 +24,7 @@ from rangecam.scene.view import View
 from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
 
 _ON_AXIS = Lens(horizontal_fov_deg=1e-3, vertical_fov_deg=1e-3)
-_CORNER_FRAMES = 3
+_CORNER_FRAMES = 2
 _TRIED_TO_M = 300.0
 _A_LITTLE = 0.01
 _BRIGHTNESS = np.geomspace(1e-5, 1e2, 36)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from rangecam.cw import CwCamera
@@ -42,13 +43,15 @@ def _pulsed_noise(camera: PulsedCamera) -> dict[str, PulsedCamera]:
             "shot noise": replace(camera, taps=replace(taps, shot_noise_counts2_per_count=0.0)),
         }
     pixel, laser = camera.pixel, camera.laser
-    even = {name: 0.0 for name in vars(pixel) if name.startswith("fixed_pattern_") and not name.endswith("seed")}
+    even: dict[str, Any] = {
+        name: 0.0 for name in vars(pixel) if name.startswith("fixed_pattern_") and not name.endswith("seed")
+    }
     return {
         "sensor noise": replace(camera, pixel=replace(pixel, sensor_noise_v=0.0)),
         "read-out noise": replace(camera, pixel=replace(pixel, readout_noise_v=0.0)),
         "shot noise": replace(camera, pixel=replace(pixel, photon_noise=False)),
         "rounding": replace(camera, pixel=replace(pixel, adc_bits=0)),
-        "fixed pattern": replace(camera, pixel=replace(pixel, offset_drift_spread_vpk=0.0, **even)),
+        "fixed pattern": replace(camera, pixel=replace(pixel, **even)),
         "laser jitter": replace(camera, laser=replace(laser, trigger_jitter_s=0.0, amplitude_jitter=0.0)),
         "changing ambient light": replace(camera, background=replace(camera.background, fluctuation=0.0)),
     }
@@ -118,6 +121,7 @@ DESIGNED: dict[str, Family] = {
 """Families by the `kind` of their settings."""
 
 
+@lru_cache(maxsize=16)
 def quiet(camera: AnyCamera) -> AnyCamera:
     """Return the camera with every part of its noise switched off."""
     silent: AnyCamera = camera

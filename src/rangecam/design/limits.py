@@ -120,7 +120,10 @@ def _shares(config: Config, region: Region, point: Point, plan: Plan, rng: np.ra
     without = {name: (camera, plan) for name, camera in DESIGNED[region.camera.kind].noise(region.camera).items()}
     if plan.ambient_wpm2:
         without["ambient light"] = (region.camera, replace(plan, ambient_wpm2=0.0))
-    shares = {name: max(1 - square_and_bias(*switched)[0] / whole, 0.0) for name, switched in without.items()}
+    shares = {
+        name: max(1 - square_and_bias(*switched)[0] / whole, 0.0) if switched != (region.camera, plan) else 0.0
+        for name, switched in without.items()
+    }
     return {**shares, "bias": bias**2 / whole}
 
 

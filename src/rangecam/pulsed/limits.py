@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rangecam.errors import UsageError
 from rangecam.geometry import Lens
 from rangecam.pulsed import RANGING
 from rangecam.pulsed.camera import max_frame_rate_hz, simulate
@@ -98,6 +99,22 @@ def expected_sigma_m(
     raw = simulate(lambda _: view, replace(camera, pixel=quiet), 0.0, np.random.default_rng(0))
     sigma_m = np.asarray(RANGING[method](raw, camera).sigma_m, np.float64)
     return sigma_m[0], np.asarray(raw.planes["n_acc"][0])
+
+
+def required_pulse_width_s(farthest_m: float, camera: PulsedCamera) -> float:
+    """Return the pulse width with which the MDSI methods measure up to `farthest_m`, s, given the camera's delays.
+
+    The inverse of the end of the measurement range, c/2 (T_Pw - (T_DL - T_DS)) (König 2008, eq 3.22; E-K-03), of
+    windows as long as the pulse. A window that opens later reaches farther with the same pulse, and less near. Raises
+    UsageError for a range that the delays alone exceed.
+    """
+    width_s = 2 * farthest_m / camera.speed_of_light_mps + camera.laser_delay_s - camera.shutter_delay_s
+    if width_s <= 0:
+        raise UsageError(
+            f"farthest_m = {farthest_m:g}: with camera.shutter_delay_s = {camera.shutter_delay_s:g} a pulse of any "
+            "width reaches farther"
+        )
+    return width_s
 
 
 def _decibel(ratio: float) -> float:

@@ -3,6 +3,7 @@
 A study is a function of a random generator; it returns its claims and the series of its figure.
 - study: claims, studies, JSON, table
 - figure: how a study is drawn
+- literature, applications: ranging principles side by side; what applications ask of the pulsed camera
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
 - pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
 - tracking_models: the motion models side by side
@@ -14,10 +15,12 @@ from collections.abc import Callable
 import numpy as np
 
 from rangecam.errors import UsageError, did_you_mean
+from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
 from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
+from rangecam.studies.literature import ranging_principles
 from rangecam.studies.pulsed_correlation import pulsed_correlation
 from rangecam.studies.pulsed_distance import pulsed_distance
 from rangecam.studies.pulsed_methods import pulsed_methods
@@ -27,12 +30,14 @@ from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table, 
 from rangecam.studies.tracking_models import tracking_models
 
 STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
+    "ranging-principles": ranging_principles,
     "pulsed-optics": pulsed_optics,
     "pulsed-noise": pulsed_noise,
     "pulsed-correlation": pulsed_correlation,
     "pulsed-methods": pulsed_methods,
     "pulsed-distance": pulsed_distance,
     "eye-safety": eye_safety,
+    "applications": applications,
     "tracking-models": tracking_models,
     "arctangents": arctangents,
     "emulation": emulation,
