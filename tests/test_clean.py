@@ -474,9 +474,11 @@ def edge_scene(seed, sigma_gain=600.0, subpixels=4):
     return RANGING["cw_four_phase"](capture.raw, config.camera), render(scenario, 0.0, bundle).range_m, config
 
 
-@pytest.mark.parametrize("gain", [600.0, 1500.0])
-def test_no_gross_flying_pixel_survives_and_few_good_pixels_are_lost(gain):
-    """Gross: over 30 mm from every surface that the pixel sees; 9 and 4.5 mm of noise; floor at grazing incidence."""
+@pytest.mark.parametrize(("gain", "sigmas"), [(1500.0, 0.0), (600.0, 3.0)])
+def test_no_gross_flying_pixel_survives_and_few_good_pixels_are_lost(gain, sigmas):
+    """Gross: over 30 mm from every surface that the pixel sees, at 5 mm of noise; at 10 mm (40 on the floor at grazing
+    incidence), where no single pixel can tell 30 mm, over 30 mm and three standard deviations.
+    """
     for seed in range(3):
         source, seen_m, config = edge_scene(seed, gain)
         mixed = np.diff(np.sort(seen_m, axis=0), axis=0).max(axis=0) > 0.06
@@ -484,10 +486,10 @@ def test_no_gross_flying_pixel_survives_and_few_good_pixels_are_lost(gain):
         for reject in (False, True):
             changes = replace(config.clean, reject_flying=reject)
             result = clean(source, config.camera.lens, config.mounting, changes)
-            gross = mixed & (np.abs(result.range_m - seen_m).min(axis=0) > 0.03)
+            gross = mixed & (np.abs(result.range_m - seen_m).min(axis=0) > 0.03 + sigmas * source.sigma_m)
             kept[reject] = (gross & result.valid).sum()
             good = ~mixed & source.valid
-        assert kept[False] > 25
+        assert kept[False] > 10
         assert kept[True] == 0
         assert (good & ~result.valid).sum() < 0.03 * good.sum()
         assert (result.why == Why.FLYING).sum() > 100
