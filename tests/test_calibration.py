@@ -63,9 +63,10 @@ def calibration_of(camera, line, dark=None, method="mdsi3", **more):
 
 @pytest.fixture(scope="module")
 def offsets():
-    accumulations, dark, _ = estimate_dark(dark_frames(CAMERA, 60), "shutter_")
-    assert accumulations.tolist() == list(STEPS)
-    return calibration_of(CAMERA, unit_line(CAMERA), dark)
+    still = estimate_dark(dark_frames(CAMERA, 60), "shutter_")
+    assert still.accumulations.tolist() == list(STEPS)
+    assert still.frames.tolist() == [60] * 5
+    return calibration_of(CAMERA, unit_line(CAMERA), still.mean)
 
 
 # --- offset ------------------------------------------------------------------------------------------------------
@@ -129,7 +130,9 @@ ASSUMED = {"pulse_width_s": 250e-9, "laser_delay_s": 52e-9}
 
 
 BETWEEN_M = (2.0, 4.0, 8.0, 13.0, 17.0, 20.0)
-SHORT = replace(SOFT, pulse_width_s=180e-9, shutter_a_width_s=230e-9, laser_delay_s=27e-9)
+SHORT = replace(
+    SOFT, averages=2000, frame_rate_hz=0.02, pulse_width_s=180e-9, shutter_a_width_s=230e-9, laser_delay_s=27e-9
+)
 
 
 def planes_of(camera, known_m, assumed, method="mdsi3", seed=4):
@@ -174,7 +177,7 @@ def test_a_curve_straightens_the_pulse_of_the_thesis_to_less_than_a_centimetre(a
 
 def test_sigma_is_that_of_the_curve():
     """The spread of the ranges of 100 images is what sigma_m says, where the curve is steep and where it is not."""
-    camera = replace(SHORT, frame_rate_hz=25.0, averages=1)
+    camera = replace(SHORT, frame_rate_hz=20.0, averages=1)
     planes = planes_of(SHORT, np.arange(2.0, 21.5), {})
     known = replace(camera, range_curve_m=fit_curve(planes))
     for range_m in (3.0, 10.0, 20.0):
@@ -307,7 +310,7 @@ def test_frames_that_are_no_dark_frames_are_refused():
         estimate_dark([frame([[1, 1]], shutter_a=plane), frame([[1]], shutter_a=plane[:, :1])], "shutter_")
     with pytest.raises(DataError, match="n_acc = 1, 4"):
         estimate_dark([frame([[1, 4]], shutter_a=plane)], "shutter_")
-    assert estimate_dark([RawFrame(0.0, {"phase_0": plane})], "phase_")[0].tolist() == [1]
+    assert estimate_dark([RawFrame(0.0, {"phase_0": plane})], "phase_").accumulations.tolist() == [1]
 
 
 def test_frames_that_the_calibration_does_not_fit_are_refused():

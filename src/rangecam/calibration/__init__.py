@@ -3,17 +3,22 @@
 - file: `Calibration` = settings of the camera that it determines + images of every pixel; saved, loaded, attached
 - dark: what a camera reads in darkness, for each number of accumulations
 - distance: the curve of a camera and the line of each pixel, from measured to true range
-What an image corrects, and when, is the business of the family (its `calibrated.py`), as is how the settings are found.
+- recording: what all of it is estimated from
+What an image corrects, and when, is the business of the family (its `calibrated.py`), as are the steps of a calibration
+(its `CALIBRATE`).
 """
 
-from rangecam.calibration.dark import estimate_dark
+from rangecam.calibration.dark import Still, estimate_dark
 from rangecam.calibration.distance import Line, Plane, apply_curve, fit_curve, fit_range, mean_plane
 from rangecam.calibration.file import Calibration, attach, check_made_for, load_calibration, save_calibration
+from rangecam.calibration.recording import Recording
 
 __all__ = [
     "Calibration",
     "Line",
     "Plane",
+    "Recording",
+    "Still",
     "apply_curve",
     "attach",
     "check_made_for",

@@ -1,6 +1,7 @@
-"""What a camera reads in darkness."""
+"""What a camera reads while nothing changes, above all in darkness."""
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,14 +9,26 @@ from rangecam.errors import DataError
 from rangecam.types import Floats, Ints, RawFrame
 
 
-def estimate_dark(frames: Iterable[RawFrame], prefix: str) -> tuple[Ints, dict[str, Floats], dict[str, Floats]]:
-    """Return the numbers of accumulations (K,), mean and variance of each plane that begins so, name -> (K, H, W).
+class Still(NamedTuple):
+    """What frames of one and the same say of each pixel, by number of accumulations.
 
-    frames: taken without any light, some of each number of accumulations (n_acc, the same for all pixels of a frame; 1
-    where a camera does not accumulate); what their mean leaves of the noise stays in every range, so take many. The
-    variance is that of a single frame, NaN where there is but one. König 2008, 4.3.1 (K-CAL-01). Raises DataError for
-    no frames, frames without such planes or of different shapes or planes, or one whose pixels differ in n_acc: it was
-    not dark.
+    accumulations, frames (K,): the numbers, and how many frames there were of each. mean, variance: plane ->
+    (K, H, W); the variance is that of a single frame, NaN where there is but one.
+    """
+
+    accumulations: Ints
+    frames: Ints
+    mean: dict[str, Floats]
+    variance: dict[str, Floats]
+
+
+def estimate_dark(frames: Iterable[RawFrame], prefix: str) -> Still:
+    """Return mean and variance of the planes that begin with `prefix`, of frames taken without any light.
+
+    Some of each number of accumulations (n_acc, the same for all pixels of a frame; 1 where a camera does not
+    accumulate); what their mean leaves of the noise stays in every range, so take many. König 2008, 4.3.1 (K-CAL-01).
+    Frames of a scene that stands still will do for a camera that does not accumulate. Raises DataError for no frames,
+    frames without such planes or of different shapes or planes, or one whose pixels differ in n_acc: it was not dark.
     """
     sums: dict[int, list[Floats]] = {}
     names: list[str] = []
@@ -39,8 +52,9 @@ def estimate_dark(frames: Iterable[RawFrame], prefix: str) -> tuple[Ints, dict[s
     for count, first, one, two in (sums[n] for n in accumulations):
         means.append(first + one / count)
         variances.append((two - one**2 / count) / (count - 1) if count > 1 else np.full(one.shape, np.nan))
-    mean = {name: np.stack([each[i] for each in means]) for i, name in enumerate(names)}
-    return accumulations, mean, {name: np.stack([each[i] for each in variances]) for i, name in enumerate(names)}
+    stacks = ({name: np.stack([each[i] for each in images]) for i, name in enumerate(names)}
+              for images in (means, variances))  # fmt: skip
+    return Still(accumulations, np.array([int(sums[n][0]) for n in accumulations], np.int64), *stacks)
 
 
 def _accumulations(raw: RawFrame) -> int:

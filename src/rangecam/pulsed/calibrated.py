@@ -19,8 +19,8 @@ _MADE_FOR = (
     "shutter_a_width_s", "shutter_b_width_s", "gradient_step_s", "gating_s", "delay_first_s", "delay_step_s",
     "delay_count", "gate_width_s", "pulse_lead_s", "speed_of_light_mps",
 )  # fmt: skip
-_SLOPE, _INTERCEPT = "range_slope", "range_intercept_m"
-PLANES = ("offset_", _SLOPE, _INTERCEPT)
+SLOPE, INTERCEPT = "range_slope", "range_intercept_m"
+PLANES = ("offset_", SLOPE, INTERCEPT)
 """Beginnings of the names of planes that a calibration lays beside the samples."""
 
 
@@ -44,8 +44,8 @@ def calibrated(method: Method) -> Method:
             return method(raw, camera)
         bare, points = _before(camera)
         image = method(_without_offset(raw, camera), bare)
-        if _SLOPE in raw.planes or _INTERCEPT in raw.planes:
-            line = Line(_fitting(raw, _SLOPE), _fitting(raw, _INTERCEPT) + camera.offset_m)
+        if SLOPE in raw.planes or INTERCEPT in raw.planes:
+            line = Line(_fitting(raw, SLOPE), _fitting(raw, INTERCEPT) + camera.offset_m)
         else:
             line = Line(np.ones(raw.shape), np.full(raw.shape, camera.offset_m))
         return _limited(apply_curve(image, points, line, camera.far_margin_sigmas), camera)
