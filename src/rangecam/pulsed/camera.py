@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numba import njit
 
 from rangecam.errors import DataError, UsageError
 from rangecam.geometry import rays
@@ -14,7 +16,7 @@ from rangecam.pulsed.laser import beam_profile, power_w
 from rangecam.pulsed.pixel import adapt, offsets, read_out, responsivity
 from rangecam.pulsed.pulses import differ, mean_of_pulses
 from rangecam.pulsed.settings import PulsedCamera, Taps
-from rangecam.pulsed.signal import Window, collected_s, exposures, gate_windows
+from rangecam.pulsed.signal import Window, correlation_curve, exposures, gate_windows
 from rangecam.scene.view import View
 from rangecam.types import Floats, RawFrame
 
@@ -119,11 +121,43 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     delay_s: of the pulse when it leaves. Blur, stray light and cover glass are in it (`camera.crosstalk`).
     König 2008, eqs 3.11 and 3.16.
     """
-    range_m = np.maximum(view.range_m, _NEAREST_M)
-    flight_s = 2 / camera.speed_of_light_mps * range_m
     laser, _, cos_axis = _light(camera)
-    irradiance = view.reflectivity * view.cos_incidence / range_m**2 * laser
-    return optical(irradiance * collected_s(delay_s + flight_s, window, camera), range_m * cos_axis, camera)
+    range_m, reflectivity, cos_incidence = (
+        np.ascontiguousarray(each, np.float64) for each in (view.range_m, view.reflectivity, view.cos_incidence)
+    )
+    delays_s, collected_s = correlation_curve(window, camera)
+    light, seconds_per_metre = np.empty(range_m.shape), 2 / camera.speed_of_light_mps
+    _expose(range_m, reflectivity, cos_incidence, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
+    return optical(light, view.range_m * cos_axis if camera.crosstalk.blur else light, camera)
+
+
+@njit(cache=True, nogil=True)
+def _expose(
+    range_m: Any,
+    reflectivity: Any,
+    cos_incidence: Any,
+    laser: Any,
+    delays_s: Any,
+    collected_s: Any,
+    delay_s: Any,
+    seconds_per_metre: Any,
+    light: Any,
+) -> Any:
+    """Fill the exposure by each ray (K, H, W); between the points of the correlation it is interpolated."""
+    count, rows, columns = light.shape
+    last = len(delays_s) - 1
+    for k in range(count):
+        for r in range(rows):
+            for c in range(columns):
+                away_m = max(range_m[k, r, c], _NEAREST_M)
+                at_s = delay_s + seconds_per_metre * away_m
+                light[k, r, c] = 0.0
+                if delays_s[0] < at_s < delays_s[last]:
+                    i = np.searchsorted(delays_s, at_s)
+                    part = (at_s - delays_s[i - 1]) / (delays_s[i] - delays_s[i - 1])
+                    met_s = collected_s[i - 1] + part * (collected_s[i] - collected_s[i - 1])
+                    lit = laser[r, c] * reflectivity[k, r, c] * cos_incidence[k, r, c] / away_m**2
+                    light[k, r, c] = lit * met_s
 
 
 def ambient_irradiance(view: View, camera: PulsedCamera) -> Floats:
@@ -131,7 +165,8 @@ def ambient_irradiance(view: View, camera: PulsedCamera) -> Floats:
     _, ambient, cos_axis = _light(camera)
     if view.ambient_wpm2 == 0:
         return np.zeros(ambient.shape)
-    return optical(view.ambient_wpm2 * view.reflectivity * ambient, view.range_m * cos_axis, camera)
+    light = view.ambient_wpm2 * view.reflectivity * ambient
+    return optical(light, view.range_m * cos_axis if camera.crosstalk.blur else light, camera)
 
 
 @lru_cache(maxsize=8)

@@ -183,29 +183,31 @@ def adapt(values_v: Floats, pixel: Pixel) -> tuple[Floats, NDArray[np.uint8]]:
 def _adapt(values_v: Any, steps: Any, full_v: Any, chosen_v: Any, n_acc: Any) -> Any:
     averages, count, windows, pixels = values_v.shape
     for i in range(pixels):
-        k = count - 1
-        while k > 0 and _is_full(values_v[:, k, :, i], full_v):
+        k, full = count, True
+        while full and k > 0:
             k -= 1
+            full = False
+            for a in range(averages):
+                for s in range(windows):
+                    full |= values_v[a, k, s, i] >= full_v
         n_acc[i] = steps[k]
         for s in range(windows):
-            total_v = 0.0
+            total_v, full = 0.0, False
             for a in range(averages):
                 total_v += values_v[a, k, s, i]
-            full = _is_full(values_v[:, k, s : s + 1, i], full_v)
+                full |= values_v[a, k, s, i] >= full_v
             chosen_v[s, i] = full_v if full else total_v / averages
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _is_full(values_v: Any, full_v: Any) -> Any:
-    """Return whether any of these values is at the full scale."""
-    found = False
-    for a in range(values_v.shape[0]):
-        for s in range(values_v.shape[1]):
-            found |= values_v[a, s] >= full_v
-    return found
 
 
 def convert(value_v: Floats, pixel: Pixel) -> Floats:
     """Return values as the converter gives them: rounded to its step, never above the full scale."""
-    rounded = np.round(value_v / step_v(pixel)) * step_v(pixel) if pixel.adc_bits else value_v
-    return np.where(value_v >= pixel.saturation_v - step_v(pixel) / 2, pixel.saturation_v, rounded)
+    converted = np.empty_like(value_v)
+    _convert(np.ascontiguousarray(value_v).reshape(-1), pixel.saturation_v, step_v(pixel), converted.reshape(-1))
+    return converted
+
+
+@njit(cache=True, nogil=True)
+def _convert(value_v: Any, full_v: Any, step: Any, converted: Any) -> Any:
+    for i in range(value_v.size):
+        rounded_v = np.rint(value_v[i] / step) * step if step > 0 else value_v[i]
+        converted[i] = full_v if value_v[i] >= full_v - step / 2 else rounded_v

@@ -28,18 +28,19 @@ def mean_of_pulses(
     """
     laser, background = camera.laser, camera.background
     pulses, shape = max(camera.pixel.accumulations), (camera.averages, len(single_v))
-    strength = 1 + laser.amplitude_jitter * rng.standard_normal((*shape, pulses))
-    late_s = laser.trigger_jitter_s * rng.standard_normal((*shape, pulses))
+    deviates = rng.standard_normal((4, *shape, pulses))
     gaps_s = np.array([cycle.off_after_s for cycle in cycles(camera)])
     apart_s = (len(single_v) if camera.shutter_order == "alternating" else 1) / laser.repetition_hz
-    change = np.empty((*shape, pulses))
-    deviates = rng.standard_normal((*shape, pulses, 2))
-    _change_of_background(deviates, gaps_s / background.correlation_s, apart_s / background.correlation_s, change)
-    weights = _weights(camera.pixel)
-    by_read_out = [np.moveaxis(each @ weights.T, 2, 1)[..., None, None] for each in (strength, late_s, change)]
-    mean_v: Floats = (
-        by_read_out[0] * single_v + by_read_out[1] * slope_vps + background.fluctuation * by_read_out[2] * ambient_v
+    correlation_s = background.correlation_s
+    _change_of_background(deviates[2], deviates[3], gaps_s / correlation_s, apart_s / correlation_s)
+    by_read_out = (deviates[:3] @ _weights(camera.pixel).T).swapaxes(2, 3)[..., None, None]
+    stronger, late_s, change = (
+        size * mean
+        for size, mean in zip(
+            (laser.amplitude_jitter, laser.trigger_jitter_s, background.fluctuation), by_read_out, strict=True
+        )
     )
+    mean_v: Floats = (1 + stronger) * single_v + late_s * slope_vps + change * ambient_v
     return mean_v
 
 
@@ -53,19 +54,19 @@ def _weights(pixel: Pixel) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _change_of_background(deviates: Any, gaps: Any, apart: Any, change: Any) -> Any:
-    """Fill the difference of a random walk with a mean (Ornstein-Uhlenbeck, variance 1) before and after each gap.
+def _change_of_background(first: Any, second: Any, gaps: Any, apart: Any) -> Any:
+    """Turn deviates (averages, S, pulses) into the fall of a random walk with a mean within each gap, in `first`.
 
-    Times in units of the correlation time; apart: from pulse to pulse.
+    It is that of Ornstein and Uhlenbeck, with variance 1. Times in units of its correlation time; apart: from pulse to
+    pulse.
     """
-    averages, windows, pulses = change.shape
+    averages, windows, pulses = first.shape
     for a in range(averages):
         for s in range(windows):
-            level = deviates[a, s, 0, 0]
             within, between = np.exp(-gaps[s]), np.exp(-max(apart - gaps[s], 0.0))
+            after = 0.0
             for i in range(pulses):
-                if i > 0:
-                    level = between * level + np.sqrt(1 - between**2) * deviates[a, s, i, 0]
-                after = within * level + np.sqrt(1 - within**2) * deviates[a, s, i, 1]
-                change[a, s, i] = level - after
-                level = after
+                z = first[a, s, i]
+                before = z if i == 0 else between * after + np.sqrt(1 - between**2) * z
+                after = within * before + np.sqrt(1 - within**2) * second[a, s, i]
+                first[a, s, i] = before - after
