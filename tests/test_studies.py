@@ -88,6 +88,8 @@ ORACLES = {
 
 # What does not agree, and must say why.
 DIFFERING = {
+    "ranging-principles": [],
+    "applications": [],
     "pulsed-optics": ["N-K-041"],
     "pulsed-noise": ["N-K-032", "N-K-038", "N-K-038"],
     "pulsed-correlation": ["N-K-048"],
