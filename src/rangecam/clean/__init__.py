@@ -24,12 +24,12 @@ from rangecam.types import Floats, Ints, RangeImage
 
 __all__ = ["FILTERS", "STAGES", "CleanSettings", "clean", "clean_stages", "shared_noise_pixels"]
 
-STAGES = ("amplitude", "flying", "neighbourhood", "filter", "floor", "area")
+STAGES = ("flying", "amplitude", "neighbourhood", "filter", "floor", "area")
 """The stages of cleaning, in their order."""
 
 _OFF: tuple[dict[str, Any], ...] = (  # what switches off each of STAGES
-    {"amplitude_threshold": 0.0, "wrap_threshold": 0.0},
     {"reject_flying": False},
+    {"amplitude_threshold": 0.0, "wrap_threshold": 0.0},
     {"min_neighbours": 0, "discard_border": False},
     {"filter": "off", "temporal_frames": 1.0},
     {"floor": "off"},
@@ -42,16 +42,17 @@ def clean(
 ) -> RangeImage:
     """Refuse pixels that cannot be trusted or do not matter, and smooth the rest.
 
-    Amplitude thresholds, the search for flying pixels and the test for common neighbours judge the image as it came
-    (Steinbäck 2016, alg 4.2); the filter takes what they left; floor and area of interest are cut from its result.
-    before: what this function returned for the last frame, for the average over time.
+    Flying pixels go first, as if they had not come. Amplitude thresholds and the test for common neighbours both judge
+    the image as it came (Steinbäck 2016, alg 4.2); the filter takes what they left; floor and area of interest are cut
+    from its result. before: what this function returned for the last frame, for the average over time.
     """
     why = np.ascontiguousarray(image.why)
     range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
     amplitude = np.ascontiguousarray(image.amplitude, np.float32)
     least, needed, floor, near, far = _known_limits(lens, mounting, why.shape, settings)
-    between = flying(range_m, sigma_m, why, settings) if settings.reject_flying else _NOBODY_LOOKED
-    why, around = judge((range_m, sigma_m, amplitude), why, least, needed, between, settings)
+    if settings.reject_flying:
+        why = flying(range_m, sigma_m, why, settings)
+    why, around = judge((range_m, sigma_m, amplitude), why, least, needed, settings)
     if settings.filter != "off":
         kept = Kept(range_m, sigma_m, amplitude, why, around, floor)
         range_m, sigma_m = FILTERS[settings.filter](kept, settings)
@@ -61,9 +62,6 @@ def clean(
         floor = floor_limit(range_m, why, lens, mounting, settings)
     why = cut(range_m, sigma_m, why, (floor, near, far), settings)
     return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
-
-
-_NOBODY_LOOKED = np.zeros((0, 0), np.uint8)
 
 
 @lru_cache(maxsize=16)

@@ -9,13 +9,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rangecam.clean.settings import CleanSettings
-from rangecam.types import Floats, Ints
+from rangecam.types import Floats, Ints, Why
 
 _TWO = np.float32(2)
 
 
 def flying(range_m: Floats, sigma_m: Floats, why: Ints, settings: CleanSettings) -> NDArray[np.uint8]:
-    """Return which pixels fly, (H, W) uint8: 1 where a pixel lies between two surfaces and belongs to neither.
+    """Return why (H, W) uint8 with the flying pixels refused: between two surfaces, they belong to neither.
 
     It flies if along one of the four lines through it the range steps on both sides, in the same sense, by more than
     noise explains, and neither step is seen to go on: on an inclined surface the neighbour differs from the next but
@@ -30,7 +30,7 @@ def flying(range_m: Floats, sigma_m: Floats, why: Ints, settings: CleanSettings)
     reach[2:-2, 2:-2] = tolerance_m + factor * sigma_m
     between = np.zeros((height, width), np.uint8)
     _find(came, reach, between)
-    return between
+    return np.where((why == 0) & (between != 0), np.uint8(Why.FLYING), why)
 
 
 @lru_cache(maxsize=16)

@@ -20,8 +20,9 @@ Codes = NDArray[np.uint8]
 RIM = 2
 """Rows and columns of NaN that `judge` lays around the image, so that no filter need ask where it ends."""
 
-_LOW_AMPLITUDE, _WRAPPED, _ISOLATED = int(Why.LOW_AMPLITUDE), int(Why.WRAPPED), int(Why.ISOLATED)
-_BORDER, _FLYING = int(Why.BORDER), int(Why.FLYING)
+_LOW_AMPLITUDE, _WRAPPED, _ISOLATED, _BORDER = (
+    int(code) for code in (Why.LOW_AMPLITUDE, Why.WRAPPED, Why.ISOLATED, Why.BORDER)
+)
 
 
 def singles(*values: float) -> list[Any]:
@@ -53,16 +54,14 @@ def judge(
     why: Ints,
     amplitudes: tuple[Floats, Floats],
     needed: Ints,
-    between: Ints,
     settings: CleanSettings,
 ) -> tuple[Codes, Floats]:
     """Return the first reason to refuse each pixel (H, W) uint8, and what filters need of those not refused.
 
     planes: range, sigma and amplitude; amplitudes: the least of each pixel, alone and times squared range; needed:
-    common neighbours it must have; between: not zero for flying pixels, (0, 0) where nobody looked. Two pixels are
-    common neighbours if their ranges differ by no more than the sum of their reaches (Steinbäck 2016, eqs 2.8-2.9, with
-    T_2 = tolerance + k (sigma_i + sigma_j) / sqrt 2, which for equal sigmas is k times the sigma of the difference).
-    Only pixels that came in valid are neighbours.
+    common neighbours it must have. Two pixels are common neighbours if their ranges differ by no more than the sum of
+    their reaches (Steinbäck 2016, eqs 2.8-2.9, with T_2 = tolerance + k (sigma_i + sigma_j) / sqrt 2, which for equal
+    sigmas is k times the sigma of the difference). Only pixels that came in valid are neighbours.
     The second array (3, H + 4, W + 4) float32 holds range, reach and 1/sigma of those not refused; NaN, anything and 0
     of the others and in its rim.
     """
@@ -70,8 +69,7 @@ def judge(
     reason = why.astype(np.uint8)
     came = np.empty((height + 2 * RIM, width + 2 * RIM), np.float32)
     around = np.empty((3, height + 2 * RIM, width + 2 * RIM), np.float32)
-    _spread(planes[0], planes[1], why, _tolerance(settings), came, around)
-    _refuse(planes, amplitudes, needed, came, between, around, reason)
+    _refuse(planes, amplitudes, needed, _tolerance(settings), came, around, reason)
     return reason, around
 
 
@@ -83,42 +81,33 @@ def _tolerance(settings: CleanSettings) -> Floats:
     )
 
 
-@njit(cache=True, nogil=True)
-def _spread(range_m: Floats, sigma_m: Floats, why: Ints, tolerance: Floats, came: Floats, around: Floats) -> None:
-    """Give the image a rim of NaN; invalid pixels are NaN too, so that no comparison with them is true."""
-    height, width = range_m.shape
-    for y in range(height + 2 * RIM):
-        inside = RIM <= y < height + RIM
-        for edge in (slice(0, RIM if inside else width + 2 * RIM), slice(width + RIM, width + 2 * RIM)):
-            came[y, edge] = _NAN
-            around[0, y, edge] = _NAN
-            around[1, y, edge] = _ZERO
-            around[2, y, edge] = _ZERO
-    for y in range(height):
-        for x in range(width):
-            came[y + RIM, x + RIM] = range_m[y, x] if why[y, x] == 0 else _NAN
-            around[1, y + RIM, x + RIM] = tolerance[0] + tolerance[1] * sigma_m[y, x]
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _refuse(
     planes: tuple[Floats, Floats, Floats],
     amplitudes: tuple[Floats, Floats],
     needed: Ints,
+    tolerance: Floats,
     came: Floats,
-    between: Ints,
     around: Floats,
     reason: Ints,
 ) -> None:
     range_m, sigma_m, amplitude = planes
     weakest, wrapped = amplitudes
-    width = reason.shape[1]
+    height, width = reason.shape
     common = np.empty(width, np.float32)
-    for y in range(reason.shape[0]):
+    for y in (0, 1, height + RIM, height + RIM + 1):
+        came[y, :] = _NAN
+        around[0, y, :] = _NAN
+        around[1, y, :] = _ZERO
+        around[2, y, :] = _ZERO
+    _spread(range_m, sigma_m, reason, 0, tolerance, came, around)
+    for y in range(height):
+        if y + 1 < height:  # a row ahead, so that rows are still near when they are needed
+            _spread(range_m, sigma_m, reason, y + 1, tolerance, came, around)
         begin, end = span(reason[y])
         if begin == end:
-            around[0, y + RIM, RIM : width + RIM] = _NAN
-            around[2, y + RIM, RIM : width + RIM] = _ZERO
+            around[0, y + RIM, :] = _NAN
+            around[2, y + RIM, :] = _ZERO
             continue
         here = slice(begin + 1, end + 3)
         r0, r1, r2 = came[y + 1, here], came[y + 2, here], came[y + 3, here]
@@ -135,22 +124,35 @@ def _refuse(
         for x in range(end - begin):
             first = _ISOLATED if common[x] < need[x] else 0
             first = _BORDER if need[x] == REFUSE else first
-            common[x] = first
-        if len(between) > 0:
-            flies = between[y, begin:]
-            for x in range(end - begin):
-                common[x] = _FLYING if flies[x] != 0 else common[x]
-        for x in range(end - begin):
-            first = _WRAPPED if light[x] * distance[x] * distance[x] < least_wrapped[x] else int(common[x])
+            first = _WRAPPED if light[x] * distance[x] * distance[x] < least_wrapped[x] else first
             first = _LOW_AMPLITUDE if light[x] < least[x] else first
             why[x] = why[x] if why[x] != 0 else first
-        for rest in (slice(RIM, begin + RIM), slice(end + RIM, width + RIM)):
+        for rest in (slice(0, begin + RIM), slice(end + RIM, width + 2 * RIM)):
             around[0, y + RIM, rest] = _NAN
             around[2, y + RIM, rest] = _ZERO
         kept, weight, sigma = around[0, y + RIM, begin + RIM :], around[2, y + RIM, begin + RIM :], sigma_m[y, begin:]
         for x in range(end - begin):
             kept[x] = r1[x + 1] if why[x] == 0 else _NAN
             weight[x] = _ONE / sigma[x] if why[x] == 0 else _ZERO
+
+
+@njit(cache=True, nogil=True)
+def _spread(
+    range_m: Floats, sigma_m: Floats, why: Ints, y: int, tolerance: Floats, came: Floats, around: Floats
+) -> None:
+    """Lay a rim around a row; invalid pixels and the rim are NaN, so that no comparison with them is true."""
+    width = why.shape[1]
+    row, reach = came[y + RIM], around[1, y + RIM]
+    for edge in (slice(0, RIM), slice(width + RIM, width + 2 * RIM)):
+        row[edge] = _NAN
+        reach[edge] = _ZERO
+    if _none(why[y]):
+        row[:] = _NAN
+        reach[:] = _ZERO
+        return
+    for x in range(width):
+        row[x + RIM] = range_m[y, x] if why[y, x] == 0 else _NAN
+        reach[x + RIM] = tolerance[0] + tolerance[1] * sigma_m[y, x]
 
 
 @njit(cache=True, nogil=True)
