@@ -48,7 +48,8 @@ def reference_decode(raw, camera):
         light = np.maximum((c0 + c90 + c180 + c270) / 4 - camera.black_level_lsb, 0)
     else:
         light = amplitude / camera.demodulation_contrast + camera.ambient_lsb
-    variance = camera.read_noise_lsb**2 + camera.shot_noise_lsb2_per_lsb * light + camera.quantisation_lsb**2 / 12
+    of_pixel = camera.read_noise_lsb**2 + camera.shot_noise_lsb2_per_lsb * light
+    variance = of_pixel / camera.binning**2 + camera.quantisation_lsb**2 / 12
     sigma = factor * np.sqrt(real**2 * 2 * variance + imaginary**2 * 2 * variance) / (real**2 + imaginary**2)
     return range_m, sigma, amplitude
 
@@ -137,7 +138,7 @@ def test_the_global_offset_is_compensated_within_the_unambiguous_range():
 
 
 def test_the_phase_noise_is_that_of_a_sample_over_root_two_amplitudes():
-    camera = replace(EXACT, shot_noise_lsb2_per_lsb=0.0, read_noise_lsb=1.0)
+    camera = replace(EXACT, shot_noise_lsb2_per_lsb=0.0, read_noise_lsb=1.0, binning=1)
     image = cw_four_phase(frame(*samples_of(0.3, 145.0)), camera)
     assert image.sigma_m[0, 0] * 1000 == pytest.approx(7, abs=0.5)  # N-S-052.1.1
     assert image.sigma_m[0, 0] / metres_per_radian(camera) == pytest.approx(1 / (np.sqrt(2) * 145.0), rel=1e-5)

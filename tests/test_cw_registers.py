@@ -26,8 +26,7 @@ from rangecam.errors import UsageError
 from rangecam.geometry import Lens
 from rangecam.scene.view import View
 
-CAMERA = replace(load_config("scaled_car").camera, binning=2)
-"""The camera as the registers see it: its pixels are 2 x 2 of the sensor's."""
+CAMERA = load_config("scaled_car").camera
 PRESET = [(f"CFGCNT_S{k:02}_PLLSET", 1) for k in range(4)]
 EXPOSURE = [(f"CFGCNT_S{k:02}_EXPOTIME", 0x084D) for k in range(4)]
 

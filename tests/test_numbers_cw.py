@@ -146,7 +146,7 @@ def test_n_s_019_how_fast_frames_follow_and_how_far_the_car_drives_in_one(lit_s,
 def test_n_s_020_to_024_the_printed_registers():
     contents = dict(PRINTED)
     assert contents["CFGCNT_S00_EXPOTIME"] == 0x109A == 4250
-    camera = apply(PRINTED, replace(CAMERA, binning=2, illumination_time_s=1e-3, capture_order=(0, 90, 180, 270)))
+    camera = apply(PRINTED, replace(CAMERA, illumination_time_s=1e-3, capture_order=(0, 90, 180, 270)))
     assert camera.illumination_time_s == 2e-3
     assert camera.modulation_hz == 17e6
     for preset, hertz in ((0, 12e6), (1, 30e6), (3, 80e6)):

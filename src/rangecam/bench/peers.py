@@ -32,8 +32,8 @@ def opencv_cw_range(config: Config) -> Callable[[Planes], Cleaned]:
     camera = config.camera
     assert camera.kind == "cw"
     metres_per_rad = camera.speed_of_light_mps / (4 * math.pi * camera.modulation_hz)
-    floor_variance = camera.read_noise_lsb**2 + camera.quantisation_lsb**2 / 12
-    shot = camera.shot_noise_lsb2_per_lsb / camera.demodulation_contrast
+    floor_variance = camera.read_noise_lsb**2 / camera.binning**2 + camera.quantisation_lsb**2 / 12
+    shot = camera.shot_noise_lsb2_per_lsb / camera.binning**2 / camera.demodulation_contrast
     low, high = camera.lower_limit_lsb or -MARKER, camera.full_scale_lsb or MARKER
 
     def range_of(planes: Planes) -> Cleaned:

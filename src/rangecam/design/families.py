@@ -86,7 +86,7 @@ def _pulsed_electrons(camera: PulsedCamera) -> float | None:
 
 
 def _cw_electrons(camera: CwCamera) -> float | None:
-    shot = camera.shot_noise_lsb2_per_lsb
+    shot = camera.shot_noise_lsb2_per_lsb / camera.binning**2
     return 1 / (shot * camera.demodulation_contrast) if shot else None
 
 

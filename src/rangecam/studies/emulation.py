@@ -86,7 +86,7 @@ def _arithmetic(captures: list[Capture], camera: CwCamera) -> dict[str, tuple[Fl
 def _registers() -> list[Claim]:
     """Return what the printed registers say, and the times that follow."""
     contents = dict(PRINTED)
-    camera = apply(PRINTED, replace(_camera(load_config("scaled_car")), binning=2))
+    camera = apply(PRINTED, _camera(load_config("scaled_car")))
     presets = {k: modulation_hz([contents[f"CFGCNT_PLLCFG{i}_LUT{k}"] for i in (1, 2, 3)]) / 1e6 for k in (1, 2, 3, 4)}
     claims = [printed(f"N-S-021.LUT{k}", f"PLL preset {k}", text, presets[k], "MHz") for k, text in _STATED.items()]
     claims.append(derived("N-S-021.LUT4", "PLL preset 4", presets[4], "MHz", "the thesis does not state it"))
