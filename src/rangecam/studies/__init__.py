@@ -7,6 +7,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
 - pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
 - tracking_models: the motion models side by side
+- cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
 """
 
@@ -17,6 +18,7 @@ import numpy as np
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
+from rangecam.studies.cw_imperfections import cw_imperfections
 from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
@@ -39,6 +41,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "eye-safety": eye_safety,
     "applications": applications,
     "tracking-models": tracking_models,
+    "cw-imperfections": cw_imperfections,
     "arctangents": arctangents,
     "emulation": emulation,
 }
