@@ -6,6 +6,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - literature, applications: ranging principles side by side; what applications ask of the pulsed camera
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
 - pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
+- calibration, noise_fit: what calibration leaves, by planes and by laser delays; noise parameters from recordings
 - tracking_models: the motion models side by side
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
@@ -19,10 +20,12 @@ from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
 from rangecam.studies.cw_imperfections import cw_imperfections
+from rangecam.studies.calibration import calibration
 from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
 from rangecam.studies.literature import ranging_principles
+from rangecam.studies.noise_fit import noise_fit
 from rangecam.studies.pulsed_correlation import pulsed_correlation
 from rangecam.studies.pulsed_distance import pulsed_distance
 from rangecam.studies.pulsed_methods import pulsed_methods
@@ -38,6 +41,8 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-correlation": pulsed_correlation,
     "pulsed-methods": pulsed_methods,
     "pulsed-distance": pulsed_distance,
+    "calibration": calibration,
+    "noise-fit": noise_fit,
     "eye-safety": eye_safety,
     "applications": applications,
     "tracking-models": tracking_models,
