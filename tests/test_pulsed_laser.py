@@ -240,7 +240,7 @@ def test_impossible_designs_are_refused_with_the_reason():
     ],
 )  # fmt: skip
 def test_windows_that_no_pulse_meets_are_refused(change):
-    refused(replace(CAMERA, **change), r"(shutter a|gate 2): it sees pulses from")
+    refused(replace(CAMERA, **change), r"(shutter a|gate 2): it sees targets from")
 
 
 def test_of_many_delays_some_may_miss():

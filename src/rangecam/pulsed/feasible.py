@@ -80,7 +80,7 @@ def _check_overlap(name: str, window: Window, delay_s: float, camera: PulsedCame
     if farthest_m <= camera.min_range_m or (limit_m is not None and nearest_m >= limit_m):
         to_m = "" if limit_m is None else f" to {limit_m:g}"
         raise UsageError(
-            f"{name.replace('_', ' ')}: it sees pulses from {nearest_m:.4g} to {farthest_m:.4g} m, none from "
+            f"{name.replace('_', ' ')}: it sees targets from {nearest_m:.4g} to {farthest_m:.4g} m, none from "
             f"camera.min_range_m = {camera.min_range_m:g}{to_m}; change the delays of laser or shutter, or the widths"
         )
 
