@@ -12,6 +12,8 @@ from rangecam.errors import UsageError
 from rangecam.settings import Fraction, Positive, settings
 from rangecam.types import Floats
 
+_PLANCK_STEPS = 2001
+
 
 @settings
 class Objective:
@@ -23,6 +25,8 @@ class Objective:
     """Diameter D of the entrance pupil."""
     transmission: Fraction = 1.0
     """Part of the light that passes lens and filters, kappa; *open* in the thesis."""
+    ambient_transmission: Fraction = 1.0
+    """Part of the ambient light that a band-pass lets through besides (`band_share`); 1: none, as in 5.2.1.2."""
     sensor_width_m: Positive = 8.32e-3
     """Width of the light-sensitive area."""
     sensor_height_m: Positive = 2.40e-3
@@ -110,7 +114,14 @@ def ambient_on_sensor(ambient_wpm2: float, reflectivity: Floats, cos_axis: Float
 
     ambient_wpm2: irradiance of every surface by ambient light in the camera's band. It does not fall with the range.
     """
-    return ambient_wpm2 * _seen(reflectivity, cos_axis, objective)
+    return objective.ambient_transmission * ambient_wpm2 * _seen(reflectivity, cos_axis, objective)
+
+
+def band_share(band_m: tuple[float, float], temperature_k: float) -> float:
+    """Return the part of a black body's radiation between two wavelengths (Planck): what a band-pass leaves of it."""
+    a_b = [14.387769e-3 / (wavelength * temperature_k) for wavelength in band_m]  # h c / (lambda k T)
+    x = np.linspace(a_b[1], a_b[0], _PLANCK_STEPS)
+    return float(np.trapezoid(x**3 / np.expm1(x), x) * 15 / math.pi**4)
 
 
 def module_power_w(diode_power_w: float, diode_area_m2: float, lit_area_m2: float) -> float:

@@ -10,7 +10,7 @@ from numba import njit
 
 from rangecam.geometry import Lens, Mounting, position, rays, rotation
 from rangecam.scene.paths import EgoMotion, Motion, ego_path, motion
-from rangecam.scene.scenario import Scenario
+from rangecam.scene.scenario import AMBIENT_WPM2, Scenario
 from rangecam.scene.shapes import Box, Cylinder, SceneObject, shapes_of
 from rangecam.scene.view import View
 from rangecam.types import Ego, Floats, Ints, Truth
@@ -59,7 +59,8 @@ def ray_bundle(lens: Lens, mounting: Mounting, shape: tuple[int, int], subpixels
 def render(scenario: Scenario, time_s: float, bundle: RayBundle) -> View:
     """Return what the rays meet at `time_s`, in vehicle axes of the driving vehicle (arrays float32)."""
     range_m, reflectivity, cos_incidence, _ = _cast_rays(scenario, time_s, bundle)
-    return View(range_m, reflectivity, cos_incidence, scenario.ambient_wpm2)
+    ambient_wpm2 = scenario.ambient_wpm2 + AMBIENT_WPM2[scenario.ambient_light]
+    return View(range_m, reflectivity, cos_incidence, ambient_wpm2)
 
 
 def truth(scenario: Scenario, time_s: float, lens: Lens, mounting: Mounting, shape: tuple[int, int]) -> Truth:

@@ -2,6 +2,7 @@
 
 import tomllib
 from importlib.resources import files
+from typing import Literal
 
 from rangecam.config import parse
 from rangecam.errors import UsageError, did_you_mean
@@ -9,6 +10,12 @@ from rangecam.scene.paths import EgoMotion, motion
 from rangecam.scene.shapes import SceneObject
 from rangecam.scene.weather import Weather
 from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
+
+AMBIENT_WPM2 = {"none": 0.0, "sun": 1000.0, "street_light": 1.3, "headlights": 6.0}
+"""Irradiance by sources of ambient light with all of their spectrum, W/m2 (König 2008, 5.2.1.2).
+
+The full sun across its rays; 20 lx of a street and 100 lx of halogen headlights as lamps of 2856 K give them (16 lm/W).
+"""
 
 
 @settings
@@ -29,6 +36,8 @@ class Scenario:
     """Rays per pixel along each edge; more than one give mixed pixels at the edges of things."""
     ambient_wpm2: NonNegative = 0.0
     """Irradiance of everything by ambient light in the camera's band, W/m2."""
+    ambient_light: Literal["none", "sun", "street_light", "headlights"] = "none"
+    """A source whose light comes to that, with all of its spectrum: see `AMBIENT_WPM2`."""
     ground_reflectivity: Fraction | None = None
     """Reflectivity of the ground at z = 0; none: no ground."""
     weather: Weather = Weather()

@@ -7,9 +7,13 @@ A study is a function of a random generator; it returns its claims and the serie
 - thesis_camera: the pulsed camera as the numbers of the thesis assume it
 - pulsed_optics, pulsed_noise, pulsed_correlation, pulsed_methods, pulsed_distance, eye_safety: one experiment each
 - calibration, noise_fit: what calibration leaves, by planes and by laser delays; noise parameters from recordings
+- pulsed_sensor, pulsed_laser, pulsed_scenes, pulsed_experiment: the same on the bench, measured with the whole camera
+- pulsed_ambient, pulsed_rain, pulsed_gating, pulsed_saturation: the environment of the pulsed camera
+- virtual: how the whole camera measures in them
 - tracking_models: the motion models side by side
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
+- filters: the filters of cleaning side by side
 """
 
 from collections.abc import Callable
@@ -19,18 +23,27 @@ import numpy as np
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
-from rangecam.studies.cw_imperfections import cw_imperfections
 from rangecam.studies.calibration import calibration
+from rangecam.studies.cw_imperfections import cw_imperfections
 from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
+from rangecam.studies.filters import filters
 from rangecam.studies.literature import ranging_principles
 from rangecam.studies.noise_fit import noise_fit
+from rangecam.studies.pulsed_ambient import pulsed_ambient
 from rangecam.studies.pulsed_correlation import pulsed_correlation
 from rangecam.studies.pulsed_distance import pulsed_distance
+from rangecam.studies.pulsed_experiment import pulsed_experiment
+from rangecam.studies.pulsed_gating import pulsed_gating
+from rangecam.studies.pulsed_laser import pulsed_laser
 from rangecam.studies.pulsed_methods import pulsed_methods
 from rangecam.studies.pulsed_noise import pulsed_noise
 from rangecam.studies.pulsed_optics import pulsed_optics
+from rangecam.studies.pulsed_rain import pulsed_rain
+from rangecam.studies.pulsed_saturation import pulsed_saturation
+from rangecam.studies.pulsed_scenes import pulsed_scenes
+from rangecam.studies.pulsed_sensor import pulsed_sensor
 from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table, verdicts
 from rangecam.studies.tracking_models import tracking_models
 
@@ -41,6 +54,14 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "pulsed-correlation": pulsed_correlation,
     "pulsed-methods": pulsed_methods,
     "pulsed-distance": pulsed_distance,
+    "pulsed-sensor": pulsed_sensor,
+    "pulsed-laser": pulsed_laser,
+    "pulsed-experiment": pulsed_experiment,
+    "pulsed-scenes": pulsed_scenes,
+    "pulsed-ambient": pulsed_ambient,
+    "pulsed-rain": pulsed_rain,
+    "pulsed-gating": pulsed_gating,
+    "pulsed-saturation": pulsed_saturation,
     "calibration": calibration,
     "noise-fit": noise_fit,
     "eye-safety": eye_safety,
@@ -49,6 +70,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "cw-imperfections": cw_imperfections,
     "arctangents": arctangents,
     "emulation": emulation,
+    "filters": filters,
 }
 """Studies by name."""
 
