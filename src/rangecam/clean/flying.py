@@ -8,10 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from rangecam.clean.neighbours import singles
 from rangecam.clean.settings import CleanSettings
 from rangecam.types import Floats, Ints, Why
 
-_TWO = np.float32(2)
+_NAN, _ZERO, _ONE, _TWO = singles(math.nan, 0, 1, 2)
+_FLYING = int(Why.FLYING)
 
 
 def flying(range_m: Floats, sigma_m: Floats, why: Ints, settings: CleanSettings) -> NDArray[np.uint8]:
@@ -23,40 +25,45 @@ def flying(range_m: Floats, sigma_m: Floats, why: Ints, settings: CleanSettings)
     came in valid are asked. Where the noise is greater than the distance between the surfaces nothing can be told; and
     two surfaces more than half the unambiguous range of a continuous-wave camera apart mix to a range outside of both.
     """
-    height, width = why.shape
-    came, reach = np.full((2, height + 4, width + 4), np.nan, np.float32)
-    came[2:-2, 2:-2] = np.where(why == 0, range_m, np.float32(np.nan))
-    tolerance_m, factor = _tolerance(settings)
-    reach[2:-2, 2:-2] = tolerance_m + factor * sigma_m
-    between = np.zeros((height, width), np.uint8)
-    _find(came, reach, between)
-    return np.where((why == 0) & (between != 0), np.uint8(Why.FLYING), why)
+    reason = why.astype(np.uint8)
+    came, reach = np.empty((2, why.shape[0] + 4, why.shape[1] + 4), np.float32)
+    _find(range_m, sigma_m, _tolerance(settings), came, reach, reason)
+    return reason
 
 
 @lru_cache(maxsize=16)
-def _tolerance(settings: CleanSettings) -> tuple[np.float32, np.float32]:
+def _tolerance(settings: CleanSettings) -> Floats:
     """Return what a pixel adds to the tolerance of a step: a constant, and a factor of its sigma."""
-    return np.float32(settings.flying_tolerance_m / 2), np.float32(settings.flying_tolerance_sigmas / math.sqrt(2))
+    return np.array([settings.flying_tolerance_m / 2, settings.flying_tolerance_sigmas / math.sqrt(2)], np.float32)
 
 
 @njit(cache=True, nogil=True)
-def _find(came: Floats, reach: Floats, between: Ints) -> None:
-    for y in range(between.shape[0]):
+def _find(range_m: Floats, sigma_m: Floats, tolerance: Floats, came: Floats, reach: Floats, reason: Ints) -> None:
+    height, width = reason.shape
+    came[:2], came[height + 2 :], came[:, :2], came[:, width + 2 :] = _NAN, _NAN, _NAN, _NAN
+    reach[:2], reach[height + 2 :], reach[:, :2], reach[:, width + 2 :] = _ZERO, _ZERO, _ZERO, _ZERO
+    for y in range(height):
+        for x in range(width):
+            came[y + 2, x + 2] = range_m[y, x] if reason[y, x] == 0 else _NAN
+            reach[y + 2, x + 2] = tolerance[0] + tolerance[1] * sigma_m[y, x]
+    flies = np.empty(width, np.float32)
+    for y in range(height):
+        flies[:] = _ZERO
         for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-            far0, near0, here = came[y + 2 - 2 * down], came[y + 2 - down], came[y + 2]
-            near1, far1 = came[y + 2 + down], came[y + 2 + 2 * down]
-            reach0, reach1, own = reach[y + 2 - down], reach[y + 2 + down], reach[y + 2]
-            found = between[y]
-            for x in range(len(found)):
-                k = x + 2
-                step0, step1 = here[k] - near0[k - right], near1[k + right] - here[k]
-                jump0, jump1 = abs(step0) > own[k] + reach0[k - right], abs(step1) > own[k] + reach1[k + right]
-                beyond0, beyond1 = near0[k - right] - far0[k - 2 * right], far1[k + 2 * right] - near1[k + right]
-                goes_on = _alike(step0, beyond0) | _alike(step1, beyond1)
-                found[x] |= jump0 & jump1 & (step0 * step1 > 0) & ~goes_on
+            here, own = came[y + 2, 2 : width + 2], reach[y + 2, 2 : width + 2]
+            near0, far0 = came[y + 2 - down, 2 - right :], came[y + 2 - 2 * down, 2 - 2 * right :]
+            near1, far1 = came[y + 2 + down, 2 + right :], came[y + 2 + 2 * down, 2 + 2 * right :]
+            reach0, reach1 = reach[y + 2 - down, 2 - right :], reach[y + 2 + down, 2 + right :]
+            for x in range(width):
+                step0, step1 = here[x] - near0[x], near1[x] - here[x]
+                jumps = (abs(step0) > own[x] + reach0[x]) & (abs(step1) > own[x] + reach1[x])
+                goes_on = _alike(step0, near0[x] - far0[x]) | _alike(step1, far1[x] - near1[x])
+                flies[x] = _ONE if jumps & (step0 * step1 > _ZERO) & (not goes_on) else flies[x]
+        for x in range(width):
+            reason[y, x] = _FLYING if flies[x] > _ZERO else reason[y, x]
 
 
 @njit(cache=True, nogil=True)
 def _alike(step: float, beyond: float) -> Any:
     """Return whether a step goes on: in the same sense, half as large to twice as large."""
-    return (step * beyond > 0) & (abs(step) <= _TWO * abs(beyond)) & (abs(beyond) <= _TWO * abs(step))
+    return (step * beyond > _ZERO) & (abs(step) <= _TWO * abs(beyond)) & (abs(beyond) <= _TWO * abs(step))
