@@ -59,7 +59,7 @@ def test_an_assignment_without_key_or_value_is_refused(assignment: str) -> None:
         ({"camera": {"lens": {"horizontal_fov_deg": 200}}}, "camera.lens.horizontal_fov_deg = 200: .* less than 175"),
         ({"camera": {"rows": 0}}, "camera.rows = 0: .* greater than 0"),
         ({"camera": {"kind": "sonar"}}, "camera .*'sonar'.*'cw', 'pulsed', 'processed'"),
-        ({"ranging": "mdsi3"}, "ranging = 'mdsi3'; possible here: cw_four_phase"),
+        ({"ranging": "mdsi3"}, "ranging = 'mdsi3'; possible here: .*cw_four_phase"),
         ({"segmentation": "region_growin"}, "did you mean 'region_growing'\\?"),
         ({"camera": {"modulation_hz": 0}}, "camera.modulation_hz = 0: .* greater than 0"),
         ({"camera": {"frame_rate_hz": float("nan")}}, "camera.frame_rate_hz = nan"),
