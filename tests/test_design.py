@@ -244,12 +244,26 @@ def test_ambient_light_makes_ranges_worse():
         ("scaled_car", {}, TRIED_FROM_M, 8.817),
         ("scaled_car", {"modulation_hz": 30e6}, TRIED_FROM_M, 4.997),
         ("generic_pulsed", {}, TRIED_FROM_M, SPEED_OF_LIGHT / 2 * 29.15e-9),
+        ("scaled_car_emulation", {}, TRIED_FROM_M, 8.817),
         ("vl53l5cx", {"min_range_m": 0.3}, 0.3, 5.0),
     ],
 )
 def test_the_measurement_range_is_found_by_trial(preset, camera, nearest_m, farthest_m):
     reach = reach_m(load_config(preset, {"camera": camera}), SMALL)
     assert reach == pytest.approx((nearest_m, farthest_m), rel=6e-3)
+
+
+def test_soft_edges_and_stray_light_leave_a_measurement_range_although_its_ranges_are_off():
+    edges = {"pulse_rise_s": 60e-9, "pulse_fall_s": 30e-9, "shutter_edge_s": 65e-9}
+    nearest_m, farthest_m = reach_m(usercams(**edges, crosstalk={"stray_fraction": 0.02, "blur": True}), SMALL)
+    assert nearest_m < 0.5
+    assert farthest_m > 24
+
+
+def test_pixels_at_the_border_of_what_is_simulated_do_not_count():
+    point = seen(load_config("scaled_car_emulation"), (1.0, 0.8), SMALL)
+    assert point.samples == 8 * 2 * 2  # of 4 x 4 pixels the inner ones
+    assert point.valid.value == 1
 
 
 def test_a_camera_that_ranges_nothing_has_no_measurement_range():

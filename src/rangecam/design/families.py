@@ -7,10 +7,12 @@ from functools import lru_cache
 from typing import Any
 
 from rangecam.cw import CwCamera
+from rangecam.cw.effects import Multipath, Scattering
 from rangecam.cw.sequence import fastest_frame_rate_hz
 from rangecam.errors import UsageError
 from rangecam.processed import ProcessedCamera
 from rangecam.pulsed import PulsedCamera
+from rangecam.pulsed.crosstalk import Crosstalk
 from rangecam.pulsed.feasible import max_frame_rate_hz, warnings_of
 from rangecam.pulsed.laser import beam_profile
 from rangecam.pulsed.pixel import ELEMENTARY_CHARGE_C, volts_per_coulomb
@@ -91,7 +93,10 @@ def _cw_electrons(camera: CwCamera) -> float | None:
 
 
 def _pulsed_alike(camera: PulsedCamera, column: int) -> PulsedCamera:
-    """Return the camera with an even beam, as bright as its own is in a column, and as warm."""
+    """Return the camera with an even beam, as bright as its own is in a column, and as warm.
+
+    It has no crosstalk, which changes nothing where all pixels see the same, but would from the border of an image.
+    """
     laser = camera.laser
     factor = float(beam_profile(laser, camera.columns)[column])
     if factor == 0:
@@ -102,13 +107,12 @@ def _pulsed_alike(camera: PulsedCamera, column: int) -> PulsedCamera:
         peak_power_w=factor * laser.peak_power_w,
         loss_per_w=laser.loss_per_w / factor,
     )
-    return replace(camera, laser=even)
+    return replace(camera, laser=even, crosstalk=Crosstalk())
 
 
 def _cw_alike(camera: CwCamera, column: int) -> CwCamera:
-    """Return the camera with light in every pixel: without rows of data, and nothing near that could reflect."""
-    alone = replace(camera.multipath, two_bounces=False)
-    return replace(camera, pseudo_rows=0, region_of_interest=None, multipath=alone)
+    """Return the camera with light in every pixel: without rows of data, and no light of others."""
+    return replace(camera, pseudo_rows=0, region_of_interest=None, multipath=Multipath(), scattering=Scattering())
 
 
 DESIGNED: dict[str, Family] = {
