@@ -20,12 +20,25 @@ from rangecam.scene.view import View
 from rangecam.studies.study import Claim, Panel, Series, Study, derived, judged
 from rangecam.types import Floats, RangeImage, RawFrame, Why
 
-_NOISE = ("shot_noise", "read_noise", "ambient_light", "quantisation")
-_SHIFTS = (
-    *("wiggling", "global_offset", "fixed_pattern", "temperature", "mixed_pixels", "multipath", "scattering"),
-    *("motion_between_exposures", "motion_within_exposures", "interference"),
-)
-"""Imperfections that change ranges; the others end pixels or move them. Shifts are looked at without noise."""
+_NOISE = {
+    "shot_noise": "S-EFF-10",
+    "read_noise": "S-EFF-10",
+    "quantisation": "S-EFF-10",
+    "ambient_light": "S-EFF-02",
+}
+_SHIFTS = {
+    "wiggling": "S-EFF-01",
+    "scattering": "S-EFF-04",
+    "motion_within_exposures": "S-EFF-05",
+    "motion_between_exposures": "S-EFF-06",
+    "multipath": "S-EFF-09",
+    "global_offset": "S-EFF-11",
+    "fixed_pattern": "S-EFF-11",
+    "temperature": "S-EFF-11",
+    "mixed_pixels": "K-OPT-13",
+    "interference": "S-TOF-01",
+}
+"""Imperfections that change ranges, looked at without noise; the others end pixels or move them."""
 _DRIVING = EgoMotion(speed_mps=10 / 3.6)
 _HEIGHTS_M = (0.05, 0.1, 0.2, 0.4)
 _ILLUMINATION_S = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3, 8e-3, 16e-3)
@@ -134,7 +147,7 @@ def _wrapped(difference_m: Floats, camera: CwCamera) -> Floats:
 def _caused(name: str, error_m: Floats) -> Claim:
     typical, large = np.percentile(np.abs(error_m), [50, 95]) * 1e3
     why = f"median of {len(error_m)} pixels, one of 20 over {large:.3g} mm; same noise with and without"
-    return derived("S-EFF", f"{name.replace('_', ' ')}: change of the range", typical, "mm", why)
+    return derived((_SHIFTS | _NOISE)[name], f"{name.replace('_', ' ')}: change of the range", typical, "mm", why)
 
 
 def _cumulated(errors: dict[str, Floats]) -> list[Series]:
@@ -203,4 +216,4 @@ def _time_panel(by_time: list[tuple[float, float, float]]) -> Panel:
         Series("valid, part of the pixels", times_ms, parts, line="-o"),
         Series("saturated, part of the pixels", times_ms, saturated, line="-o"),
     ]
-    return Panel("illumination time", "illumination time, ms", "", series, "x")
+    return Panel("illumination time", "illumination time, ms", "m, and part of the pixels", series, "x")
