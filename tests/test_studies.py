@@ -103,6 +103,8 @@ DIFFERING = {
     "pulsed-rain": [],
     "pulsed-gating": ["N-K-076"],
     "pulsed-saturation": [],
+    "calibration": [],
+    "noise-fit": [],
     "eye-safety": ["N-K-044", "N-K-045", "N-K-045"],
     "arctangents": [],
     "emulation": ["N-S-018"],
