@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.stats import norm
 
 from rangecam.cameras.simulated import frames
@@ -766,3 +766,18 @@ def test_cleaning_a_real_room_leaves_smooth_surfaces():
     assert result.valid.mean() > 0.5
     assert jumps(result) < 0.2 * jumps(image_in)
     assert jumps(result) < 0.002
+
+
+@pytest.mark.skipif(not (DATA / "cw_mlx75027").is_dir(), reason="RANGECAM_DATA does not name a folder with cw_mlx75027")
+def test_flying_pixels_of_a_real_scene_lie_at_its_edges():
+    """Tools before a wall, raw phase images: where a pixel flies, its neighbours differ ten times as much."""
+    from rangecam.io import open_source
+
+    source = open_source(DATA / "cw_mlx75027" / "tools_scene.npz")
+    config, capture = source.config, next(iter(source.captures))
+    measured = RANGING[config.ranging](capture.raw, config.camera)
+    result = clean(measured, config.camera.lens, config.mounting, replace(config.clean, reject_flying=True))
+    flies = result.why == Why.FLYING
+    spread = maximum_filter(measured.range_m, 3) - minimum_filter(measured.range_m, 3)
+    assert 0.02 < flies.mean() < 0.06
+    assert np.median(spread[flies]) > 10 * np.median(spread[~flies])
