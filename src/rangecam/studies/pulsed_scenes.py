@@ -25,6 +25,7 @@ _FRAMES = 200
 PARTS = {
     "blur": Crosstalk(blur=True),
     "stray light, 1 %": Crosstalk(stray_fraction=0.01),
+    "cover glass, 2 %": Crosstalk(cover_glass_fraction=0.02),
     "references, 1 %": Crosstalk(electrical_fraction=0.01),
     "all, corrected": Crosstalk(blur=True, stray_fraction=0.01, electrical_fraction=0.01, correct=True),
     "all": Crosstalk(blur=True, stray_fraction=0.01, electrical_fraction=0.01),
