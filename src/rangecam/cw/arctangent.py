@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from rangecam.cw.ranging import _atan2 as _polynomial_atan2
+from rangecam.cw.phasor import turns as _polynomial_turns
 from rangecam.types import Floats, Ints
 
 TABLE_SIZE = 256
@@ -213,7 +213,8 @@ def _by_libm(imaginary: Any, real: Any, phase: Any) -> None:
 def _by_polynomial(imaginary: Any, real: Any, phase: Any) -> None:
     turn, zero = np.float32(_TWO_PI), np.float32(0)
     for i in range(imaginary.size):
-        angle = _polynomial_atan2(imaginary[i], real[i])
+        angle = turn * _polynomial_turns(imaginary[i], real[i])
+        angle = zero if (imaginary[i] == zero) & (real[i] == zero) else angle
         phase[i] = angle + turn if angle < zero else angle
 
 

@@ -76,51 +76,75 @@ def noise_model(camera: CwCamera) -> Floats:
     )
 
 
-def filter_rule(camera: CwCamera) -> tuple[int, Floats]:
-    """Return how many rows and columns around a pixel are averaged with it, and the rule for taking part (3,)."""
+def filter_rule(camera: CwCamera, wavelengths_m: tuple[float, ...]) -> tuple[int, Floats]:
+    """Return how many rows and columns around a pixel are averaged with it, and the rule for taking part (4,).
+
+    wavelengths_m: the range after which the phase of each frequency repeats.
+    """
     reach = {"off": 0, "3x3": 1, "5x5": 2}[camera.phasor_filter]
-    rule = [camera.phasor_filter_sigmas**2, camera.phasor_filter_contrast, camera.phasor_min_support]
+    tolerance = sum((2 * math.pi * camera.phasor_filter_tolerance_m / each) ** 2 for each in wavelengths_m)
+    rule = [camera.phasor_filter_sigmas**2, camera.phasor_filter_contrast, camera.phasor_min_support, tolerance]
     return reach, np.array(rule, np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def demodulate(
-    planes: Any, y: int, weights: Any, noise: Any, scratch: Any, units: Any, sizes: Any, spread: Any, why: Any
-) -> None:
-    """Fill one row with the phasors of all frequencies.
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def demodulate(planes: Any, y: int, model: Any, ring: Any, slot: int, scratch: Any, why: Any) -> None:
+    """Fill one row of the ring with the phasors of all frequencies.
 
-    planes: a tuple of images, the steps of a frequency after each other. units (2 K, W): cosine and sine of the phase;
-    sizes (2 K, W): amplitude, and variance across the phasor (LSB2), of each frequency; spread (2, W): sums over the
-    frequencies of the phase variance (rad2, NaN where a pixel cannot be used) and of the amplitude; scratch (7, W).
+    planes: a tuple of images, the steps of a frequency after each other. model: `harmonic_weights`, `noise_model`.
+    ring: units (rows, 2 K, W + rim), cosine and sine of each phase; phasors alike, Re and Im; noises (rows, K, ...),
+    variance across each phasor, LSB2; spread (rows, 3, ...), sums over the frequencies of the phase variance (rad2, NaN
+    where a pixel cannot be used), of the amplitude and of the variance. scratch (10, W).
     """
-    n_steps = weights.shape[1]
+    (weights, noise), (units, phasors, noises, spread) = model, ring
+    n_steps, width = weights.shape[1], why.size
+    rim = (units.shape[2] - width) // 2
+    inner = slice(rim, rim + width)
+    sums = (spread[slot, 0, inner], spread[slot, 1, inner], spread[slot, 2, inner])
     why[:] = _VALID
-    spread[:] = _ZERO
-    for k in range(len(planes) // n_steps):
-        scratch[:5] = _ZERO
-        scratch[5] = _LARGEST
-        scratch[6] = -_LARGEST
-        for n in range(n_steps):
-            samples = planes[k * n_steps + n][y]
-            _add_sample(samples, weights[0, n], weights[1, n], scratch[0], scratch[1], scratch[5], scratch[6])
-            if noise[1] > _ZERO:
+    for row in sums:
+        row[:] = _ZERO
+    for k in range(units.shape[1] // 2):
+        first = k * n_steps
+        _three_samples(planes[first][y], planes[first + 1][y], planes[first + 2][y], weights, scratch)
+        for n in range(3, n_steps):
+            _add_sample(planes[first + n][y], weights[0, n], weights[1, n], scratch, n)
+        scratch[2:5] = _ZERO
+        if noise[1] > _ZERO:
+            for n in range(n_steps):
+                samples = planes[first + n][y]
                 _add_light(samples, noise[3], weights[0, n], weights[1, n], scratch[2], scratch[3], scratch[4])
-        _polar(scratch, noise, units[2 * k], units[2 * k + 1], sizes[2 * k], sizes[2 * k + 1], spread[0], spread[1])
-        _reason(scratch, noise, sizes[2 * k], why)
-    for i in range(why.size):
-        spread[0, i] = spread[0, i] if why[i] == _VALID else _NAN
+        unit = (units[slot, 2 * k, inner], units[slot, 2 * k + 1, inner])
+        phasor = (phasors[slot, 2 * k, inner], phasors[slot, 2 * k + 1, inner])
+        _polar(scratch, noise, unit, phasor, noises[slot, k, inner], sums)
+        limits = 5 if n_steps % 2 else 7
+        _reason(scratch[limits], scratch[limits + 1], noise, scratch[9], why)
+    _mark(why, sums[0])
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _add_sample(
-    samples: Any, to_real: Any, to_imaginary: Any, real: Any, imaginary: Any, smallest: Any, largest: Any
-) -> None:
+def _three_samples(c0: Any, c1: Any, c2: Any, weights: Any, scratch: Any) -> None:
+    real, imaginary, smallest, largest = scratch[0], scratch[1], scratch[5], scratch[6]
+    r0, r1, r2, i0, i1, i2 = weights[0, 0], weights[0, 1], weights[0, 2], weights[1, 0], weights[1, 1], weights[1, 2]
+    for i in range(real.size):
+        s0, s1, s2 = np.float32(c0[i]), np.float32(c1[i]), np.float32(c2[i])
+        real[i] = r0 * s0 + r1 * s1 + r2 * s2
+        imaginary[i] = i0 * s0 + i1 * s1 + i2 * s2
+        low, high = (s0 if s0 < s1 else s1), (s0 if s0 > s1 else s1)
+        smallest[i], largest[i] = (s2 if s2 < low else low), (s2 if s2 > high else high)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _add_sample(samples: Any, to_real: Any, to_imaginary: Any, scratch: Any, n: int) -> None:
+    """Add a sample to Re and Im; its limits go from one pair of rows to the other, for in place it would be slow."""
+    real, imaginary, old, new = scratch[0], scratch[1], 5 if n % 2 else 7, 7 if n % 2 else 5
+    smallest, largest, smallest_now, largest_now = scratch[old], scratch[old + 1], scratch[new], scratch[new + 1]
     for i in range(real.size):
         sample = np.float32(samples[i])
         real[i] += to_real * sample
         imaginary[i] += to_imaginary * sample
-        smallest[i] = sample if sample < smallest[i] else smallest[i]
-        largest[i] = sample if sample > largest[i] else largest[i]
+        smallest_now[i] = sample if sample < smallest[i] else smallest[i]
+        largest_now[i] = sample if sample > largest[i] else largest[i]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
@@ -136,11 +160,10 @@ def _add_light(samples: Any, black: Any, to_real: Any, to_imaginary: Any, rr: An
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _polar(
-    scratch: Any, noise: Any, cosine: Any, sine: Any, amplitude: Any, variance: Any, spread: Any, total: Any
-) -> None:
+def _polar(scratch: Any, noise: Any, unit: Any, phasor: Any, variance: Any, sums: Any) -> None:
     """Turn Re and Im into a unit phasor, its amplitude and its variance at right angles to it: what turns the phase."""
-    real, imaginary, rr, ri, ii = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    real, imaginary, rr, ri, ii, amplitude = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[9]
+    (cosine, sine), (re, im), (spread, total, strewn) = unit, phasor, sums
     floor, per_light, per_amplitude, g_rr, g_ri, g_ii = noise[0], noise[1], noise[2], noise[6], noise[7], noise[8]
     for i in range(real.size):
         square = real[i] * real[i] + imaginary[i] * imaginary[i]
@@ -155,14 +178,17 @@ def _polar(
         )
         across = s * s * v_rr - (c * s + c * s) * v_ri + c * c * v_ii
         cosine[i], sine[i], amplitude[i], variance[i] = c, s, size, across
+        usable = size > _ZERO  # what is not takes no part, but its product with zero must be zero
+        re[i], im[i] = (real[i] if usable else _ZERO), (imaginary[i] if usable else _ZERO)
         spread[i] += across * inverse * inverse
         total[i] += size
+        strewn[i] += across
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _reason(scratch: Any, noise: Any, amplitude: Any, why: Any) -> None:
+def _reason(smallest: Any, largest: Any, noise: Any, amplitude: Any, why: Any) -> None:
     """Say of each pixel what is wrong with its samples at one frequency; a worse fault replaces a lesser one."""
-    low, high, smallest, largest = noise[4], noise[5], scratch[5], scratch[6]
+    low, high = noise[4], noise[5]
     for i in range(why.size):
         reason = why[i]
         limited = (largest[i] >= high) | (smallest[i] <= low)
@@ -172,53 +198,45 @@ def _reason(scratch: Any, noise: Any, amplitude: Any, why: Any) -> None:
         why[i] = reason if amplitude[i] == amplitude[i] else _NOT_FINITE
 
 
+@njit(cache=True, nogil=True)
+def _mark(why: Any, phase_variance: Any) -> None:
+    for i in range(why.size):
+        known = phase_variance[i]
+        phase_variance[i] = known if why[i] == _VALID else _NAN
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def average(
-    rows: Any,
-    units: Any,
-    sizes: Any,
-    spread: Any,
-    rule: Any,
-    inside: int,
-    scratch: Any,
-    mean: Any,
-    variance: Any,
-    why: Any,
-) -> None:
+def average(rows: Any, inside: int, ring: Any, rule: Any, scratch: Any, mean: Any, variance: Any, why: Any) -> None:
     """Average one row of phasors with the neighbours that belong to the same surface.
 
-    rows: which rows of the ring hold the neighbourhood, the middle one its centre. A neighbour takes part if the mean
-    squared distance of the unit phasors is below rule[0] times what noise makes of it, and neither amplitude is more
-    than rule[1] times the other. mean (2 K, W): Re and Im; variance (K, W): across the phasor, LSB2. Pixels with which
-    less than rule[2] of the neighbours that there are can be averaged are FLYING; inside: rows of them in the image.
+    rows: which rows of the ring hold the neighbourhood, the middle one its centre; inside: how many of them lie in the
+    image. A neighbour takes part if the squared distance of the unit phasors is below rule[0] times what noise makes of
+    it plus rule[3], and neither amplitude is more than rule[1] times the other. mean (2 K, W): Re and Im; variance (K, W): across
+    the phasor, LSB2, shared out among the frequencies as at the centre. Pixels with which less than rule[2] of the
+    neighbours that there are can be averaged are FLYING.
     """
+    units, phasors, noises, spread = ring
     reach, width, n_frequencies = len(rows) // 2, why.size, variance.shape[0]
-    distance, take, count = scratch[0], scratch[1], scratch[2]
+    distance, take, count, strewn = scratch[0], scratch[1], scratch[2], scratch[3]
     centre, inner = rows[reach], slice(reach, reach + width)
+    here = (spread[centre, 0, inner], spread[centre, 1, inner])
     mean[:] = _ZERO
-    variance[:] = _ZERO
-    count[:] = _ZERO
+    scratch[2:4] = _ZERO
     for j in range(len(rows)):
         row = rows[j]
         for dx in range(2 * reach + 1):
             beside = slice(dx, dx + width)
             distance[:] = _ZERO
-            for k in range(2 * n_frequencies):
-                _add_distance(units[centre, k, inner], units[row, k, beside], distance)
-            _judge(distance, spread[centre, :, inner], spread[row, :, beside], rule[0], rule[1], take, count)
-            for k in range(n_frequencies):
-                _add_phasor(
-                    take,
-                    units[row, 2 * k, beside],
-                    units[row, 2 * k + 1, beside],
-                    sizes[row, 2 * k, beside],
-                    sizes[row, 2 * k + 1, beside],
-                    mean[2 * k],
-                    mean[2 * k + 1],
-                    variance[k],
-                )
+            for k in range(0, 2 * n_frequencies, 2):
+                cosine, sine = units[row, k, beside], units[row, k + 1, beside]
+                _add_distance(units[centre, k, inner], units[centre, k + 1, inner], cosine, sine, distance)
+            there = (spread[row, 0, beside], spread[row, 1, beside], spread[row, 2, beside])
+            _judge(distance, here, there, rule, take, count, strewn)
+            for k in range(0, 2 * n_frequencies, 2):
+                _add_phasor(take, phasors[row, k, beside], phasors[row, k + 1, beside], mean[k], mean[k + 1])
     for k in range(n_frequencies):
-        _divide(count, mean[2 * k], mean[2 * k + 1], variance[k])
+        noise, total = noises[centre, k, inner], spread[centre, 2, inner]
+        _divide(count, strewn, noise, total, mean[2 * k], mean[2 * k + 1], variance[k])
     if rule[2] > _ZERO:
         for i in range(width):
             places = inside * (min(i, reach) + min(width - 1 - i, reach) + 1) - 1
@@ -227,51 +245,48 @@ def average(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _add_distance(here: Any, there: Any, distance: Any) -> None:
+def _add_distance(cosine_here: Any, sine_here: Any, cosine_there: Any, sine_there: Any, distance: Any) -> None:
     for i in range(distance.size):
-        step = here[i] - there[i]
-        distance[i] += step * step
+        across, up = cosine_here[i] - cosine_there[i], sine_here[i] - sine_there[i]
+        distance[i] += across * across + up * up
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _judge(distance: Any, here: Any, there: Any, squared: Any, contrast: Any, take: Any, count: Any) -> None:
+def _judge(distance: Any, here: Any, there: Any, rule: Any, take: Any, count: Any, strewn: Any) -> None:
+    """Decide which neighbours take part; count them and add their variances."""
+    (noise_here, total_here), (noise_there, total_there, across) = here, there
+    squared, contrast, tolerance = rule[0], rule[1], rule[3]
     for i in range(take.size):
-        near = distance[i] <= squared * (here[0, i] + there[0, i])
-        alike = (there[1, i] <= contrast * here[1, i]) & (here[1, i] <= contrast * there[1, i])
-        one = _ONE if near & alike else _ZERO
+        near = distance[i] <= squared * (noise_here[i] + noise_there[i]) + tolerance
+        alike = (total_there[i] <= contrast * total_here[i]) & (total_here[i] <= contrast * total_there[i])
+        more = across[i]
+        one, more = (_ONE if near & alike else _ZERO), (more if near & alike else _ZERO)
         take[i] = one
         count[i] += one
+        strewn[i] += more
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _add_phasor(
-    take: Any, cosine: Any, sine: Any, size: Any, across: Any, real: Any, imaginary: Any, variance: Any
-) -> None:
+def _add_phasor(take: Any, re: Any, im: Any, real: Any, imaginary: Any) -> None:
     for i in range(take.size):
-        taken = take[i] > _ZERO
-        strength = size[i] if taken else _ZERO  # a product would let the NaN of a pixel that takes no part through
-        real[i] += strength * (cosine[i] if taken else _ZERO)
-        imaginary[i] += strength * (sine[i] if taken else _ZERO)
-        variance[i] += across[i] if taken else _ZERO
+        real[i] += take[i] * re[i]
+        imaginary[i] += take[i] * im[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _divide(count: Any, real: Any, imaginary: Any, variance: Any) -> None:
+def _divide(count: Any, strewn: Any, noise: Any, total: Any, real: Any, imaginary: Any, variance: Any) -> None:
     for i in range(count.size):
         share = _ONE / count[i]
         real[i] *= share
         imaginary[i] *= share
-        variance[i] *= share * share
+        variance[i] = share * share * strewn[i] * noise[i] / total[i]
 
 
 @njit(cache=True, nogil=True)
-def keep(units: Any, sizes: Any, mean: Any, variance: Any) -> None:
-    """Take one row of phasors as it is, for want of a filter."""
-    for k in range(variance.shape[0]):
-        for i in range(mean.shape[1]):
-            mean[2 * k, i] = sizes[2 * k, i] * units[2 * k, i]
-            mean[2 * k + 1, i] = sizes[2 * k, i] * units[2 * k + 1, i]
-            variance[k, i] = sizes[2 * k + 1, i]
+def keep(ring: Any, mean: Any, variance: Any) -> None:
+    """Take the one row of the ring as it is, for want of a filter."""
+    mean[:] = ring[1][0]
+    variance[:] = ring[2][0]
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -1,9 +1,9 @@
 """Ranging from correlation samples: raw phase images in, range with its standard deviation out."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numba import njit
@@ -24,13 +24,8 @@ _VALID, _NO_SIGNAL, _NOT_FINITE = np.uint8(Why.VALID), np.uint8(Why.NO_SIGNAL), 
 _LOW_AMPLITUDE, _SATURATED = np.uint8(Why.LOW_AMPLITUDE), np.uint8(Why.SATURATED)
 _SENSOR_FLAG, _ZERO, _ONE = np.uint8(Why.SENSOR_FLAG), np.float32(0), np.float32(1)
 _LARGEST = np.float32(1e30)
-_PI, _TWO_PI = np.float32(math.pi), np.float32(2 * math.pi)
-_TURNS_PER_RAD = np.float32(0.5 / math.pi)
-# Minimax polynomial of arctan on 0..1 in odd powers, error 2.5e-7 rad (least squares with Lawson's weights).
-_A1, _A3, _A5, _A7, _A9, _A11, _A13 = (
-    np.float32(a)
-    for a in (0.9999961115, -0.3331736805, 0.1980781549, -0.1323334184, 0.07962366797, -0.03360421694, 0.006811792148)
-)
+_NAN, _TWO, _HALF, _QUARTER = np.float32(np.nan), np.float32(2), np.float32(0.5), np.float32(0.25)
+_TWO_PI = np.float32(2 * math.pi)
 
 
 def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
@@ -45,13 +40,13 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     """
     if camera.phasor_filter != "off":
         return cw_phases(raw, camera)
-    c0, c90, c180, c270 = [_samples(raw, name) for name in PLANES]
-    shape, why = c0.shape, np.empty(c0.shape, np.uint8)
-    range_m, sigma_m, amplitude = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _four_phase(c0, c90, c180, c270, _kernel_settings(camera), range_m, sigma_m, amplitude, why)
+    planes = _samples(raw, PLANES)
+    shape = planes[0].shape
+    images, why = np.empty((3, *shape), np.float32), np.empty(shape, np.uint8)
+    _four_phase(planes, _sample_limits(camera, planes[0].dtype), _kernel_settings(camera), images, why)
     if camera.pseudo_rows:
         why[: camera.pseudo_rows] = _SENSOR_FLAG
-    return RangeImage(raw.time_s, range_m, sigma_m, amplitude, why)
+    return RangeImage(raw.time_s, images[0], images[1], images[2], why)
 
 
 @lru_cache(maxsize=8)
@@ -65,14 +60,12 @@ def _kernel_settings(camera: CwCamera) -> Floats:
     return np.array(
         [
             camera.phase_sign,
-            camera.offset_m / metres_per_rad,
+            camera.offset_m / (2 * math.pi * metres_per_rad) % 1.0,
             metres_per_rad,
             max(floor_variance, 1e-12),
             per_light * (1.0 if single_ended else 0.0),
             per_light * (0.0 if single_ended else 1 / camera.demodulation_contrast),
             camera.black_level_lsb,
-            -_LARGEST if camera.lower_limit_lsb is None else camera.lower_limit_lsb,
-            _LARGEST if camera.full_scale_lsb is None else camera.full_scale_lsb,
             camera.min_amplitude,
             camera.max_phase_sigma_rad**2,
         ],
@@ -80,66 +73,110 @@ def _kernel_settings(camera: CwCamera) -> Floats:
     )
 
 
-def _samples(raw: RawFrame, name: str) -> Image:
-    """Return a plane as contiguous uint16 or float32: the kernel is compiled for these two."""
-    plane = plane_of(raw, name, PLANES)
-    return np.ascontiguousarray(plane, _UINT16 if plane.dtype == _UINT16 else _FLOAT32)
+@lru_cache(maxsize=8)
+def _sample_limits(camera: CwCamera, kind: np.dtype[Any]) -> Image:
+    """Return the least and the greatest sample, of its own number type, that is within the converter's limits."""
+    low, high = camera.lower_limit_lsb, camera.full_scale_lsb
+    if kind == _UINT16:
+        least = 0 if low is None else math.floor(low) + 1
+        most = 65535 if high is None else math.ceil(high) - 1
+        return np.clip([least, most], 0, 65535).astype(np.uint16)
+    least_float = -_LARGEST if low is None else np.nextafter(np.float32(low), _LARGEST)
+    most_float = _LARGEST if high is None else np.nextafter(np.float32(high), -_LARGEST)
+    return np.array([least_float, most_float], np.float32)
+
+
+def _samples(raw: RawFrame, names: Sequence[str]) -> tuple[Image, ...]:
+    """Return the planes as contiguous images, all uint16 or all float32: the kernels are compiled for these two."""
+    as_they_are = tuple([raw.planes.get(name) for name in names])
+    if _ready(as_they_are):
+        return as_they_are
+    planes = [plane_of(raw, name, names) for name in names]
+    kind = _UINT16 if all(plane.dtype == _UINT16 for plane in planes) else _FLOAT32
+    return tuple([np.ascontiguousarray(plane, kind) for plane in planes])
+
+
+def _ready(planes: tuple[Image | None, ...]) -> TypeGuard[tuple[Image, ...]]:
+    """Return whether the kernels can take the planes without further ado, which most frames allow."""
+    first = planes[0]
+    if not isinstance(first, np.ndarray) or first.ndim != 2 or first.dtype not in (_UINT16, _FLOAT32):
+        return False
+    kind, shape = first.dtype, first.shape
+    for plane in planes:
+        if not isinstance(plane, np.ndarray) or plane.dtype != kind or plane.shape != shape:
+            return False
+        if not plane.flags.c_contiguous:
+            return False
+    return True
 
 
 _UINT16, _FLOAT32 = np.dtype(np.uint16), np.dtype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _four_phase(
-    c0: Any, c90: Any, c180: Any, c270: Any, settings: Any, range_m: Any, sigma_m: Any, amplitude: Any, why: Any
-) -> Any:
-    """Fill the four output images; everything is a select, so that the loop becomes vector instructions."""
-    c0, c90, c180, c270 = c0.reshape(-1), c90.reshape(-1), c180.reshape(-1), c270.reshape(-1)
-    range_m, sigma_m, amplitude, why = range_m.reshape(-1), sigma_m.reshape(-1), amplitude.reshape(-1), why.reshape(-1)
-    sign, offset, metres_per_rad = settings[0], settings[1], settings[2]
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _four_phase(planes: Any, limits: Any, settings: Any, images: Any, why: Any) -> None:
+    """Fill range, sigma and amplitude (3, H, W), and why.
+
+    Everything is a choice between two values, so that the loops become vector instructions; limits are judged apart,
+    because of samples in whole numbers twice as many fit into one.
+    """
+    c0, c90, c180, c270 = planes[0].reshape(-1), planes[1].reshape(-1), planes[2].reshape(-1), planes[3].reshape(-1)
+    range_m, sigma_m, amplitude, why = (
+        images[0].reshape(-1),
+        images[1].reshape(-1),
+        images[2].reshape(-1),
+        why.reshape(-1),
+    )
+    _judge_limits(c0, c90, c180, c270, limits[0], limits[1], why)
+    sign, offset, metres_per_rad, wrap_m = settings[0], settings[1], settings[2], _TWO_PI * settings[2]
     floor_variance, shot_per_level, shot_per_amplitude = settings[3], settings[4], settings[5]
-    black, low, high, min_amplitude, max_variance = settings[6], settings[7], settings[8], settings[9], settings[10]
-    two, half, quarter, tiny = np.float32(2), np.float32(0.5), np.float32(0.25), np.float32(1e-30)
-    zero, nan = np.float32(0), np.float32(np.nan)
+    black, min_amplitude, max_variance = settings[6], settings[7], settings[8]
     for i in range(c0.size):
         s0, s90, s180, s270 = np.float32(c0[i]), np.float32(c90[i]), np.float32(c180[i]), np.float32(c270[i])
         real, imaginary = s0 - s180, s270 - s90
         square = real * real + imaginary * imaginary
         magnitude = np.sqrt(square)
-        phase = sign * _atan2(imaginary, real) + offset  # Steinbäck 2016, eqs 2.2 and 3.13
-        phase -= _TWO_PI * np.floor(phase * _TURNS_PER_RAD)  # eq 3.14
-        phase = zero if phase >= _TWO_PI else phase
-        level = quarter * (s0 + s90 + s180 + s270) - black
-        level = level if level > zero else zero
-        variance = floor_variance + shot_per_level * level + shot_per_amplitude * half * magnitude
+        phase = sign * turns_of(imaginary, real) + offset  # Steinbäck 2016, eqs 2.2 and 3.13, in turns
+        phase = phase + _ONE if phase < _ZERO else phase  # eq 3.14
+        phase = phase - _ONE if phase >= _ONE else phase
+        level = _QUARTER * ((s0 + s90) + (s180 + s270)) - black
+        level = level if level > _ZERO else _ZERO
+        variance = floor_variance + shot_per_level * level + shot_per_amplitude * _HALF * magnitude
         # d phase = (Re dIm - Im dRe) / (Re^2 + Im^2), and Re and Im each are the difference of two samples
-        doubled, bounded = two * variance, (square if square > tiny else tiny)
+        phase_variance = _TWO * variance / square
+        reason = why[i]
+        weak = (not phase_variance <= max_variance) | (_HALF * magnitude < min_amplitude)
+        reason = _LOW_AMPLITUDE if weak & (reason == _VALID) else reason
+        range_m[i] = wrap_m * phase  # eq 3.11
+        sigma_m[i] = metres_per_rad * np.sqrt(phase_variance)
+        amplitude[i] = _HALF * magnitude
+        why[i] = reason
+    if limits.itemsize > 2:
+        _refuse_broken(range_m, sigma_m, amplitude, why)
+
+
+@njit(cache=True, nogil=True)
+def _refuse_broken(range_m: Any, sigma_m: Any, amplitude: Any, why: Any) -> None:
+    """Refuse what came from samples that are NaN or infinite, which only floating-point numbers can be."""
+    for i in range(why.size):
+        finite = amplitude[i] < _LARGEST
+        range_m[i] = range_m[i] if finite else _NAN
+        sigma_m[i] = sigma_m[i] if finite else _NAN
+        amplitude[i] = amplitude[i] if finite else _NAN
+        why[i] = why[i] if finite else _NOT_FINITE
+
+
+@njit(cache=True, nogil=True)
+def _judge_limits(c0: Any, c90: Any, c180: Any, c270: Any, least: Any, most: Any, why: Any) -> None:
+    for i in range(why.size):
+        s0, s90, s180, s270 = c0[i], c90[i], c180[i], c270[i]
         largest, smallest = (
             _larger(_larger(s0, s90), _larger(s180, s270)),
             _smaller(_smaller(s0, s90), _smaller(s180, s270)),
         )
-        finite = abs(s0) + abs(s90) + abs(s180) + abs(s270) < _LARGEST
-        reason = _LOW_AMPLITUDE if doubled > max_variance * bounded or half * magnitude < min_amplitude else _VALID
-        reason = _SATURATED if largest >= high or smallest <= low else reason
-        reason = _NO_SIGNAL if largest == smallest and largest < high else reason
-        usable = finite and square > zero
-        range_m[i] = metres_per_rad * phase if usable else nan  # eq 3.11
-        sigma_m[i] = metres_per_rad * np.sqrt(doubled / bounded) if usable else nan
-        amplitude[i] = half * magnitude if finite else nan
-        why[i] = reason if finite else _NOT_FINITE
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _atan2(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y) in -pi..pi, in float32 to 3e-7 rad: a minimax polynomial in the first octant."""
-    ax, ay = abs(x), abs(y)
-    t = _smaller(ax, ay) / _larger(_larger(ax, ay), np.float32(1e-30))
-    u = t * t
-    v = u * u
-    angle = t * ((_A1 + u * _A3) + v * ((_A5 + u * _A7) + v * ((_A9 + u * _A11) + v * _A13)))
-    angle = np.float32(math.pi / 2) - angle if ay > ax else angle
-    angle = _PI - angle if x < 0 else angle
-    return -angle if y < 0 else angle
+        reason = _NO_SIGNAL if largest == smallest else _VALID
+        reason = _SATURATED if largest > most else reason
+        why[i] = _SATURATED if (smallest < least) & (reason == _VALID) else reason
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -191,18 +228,18 @@ def _decode(
 ) -> RangeImage:
     """Return the range image of one or several frequencies whose phases repeat after `wavelengths_m`."""
     weights, names = harmonic_weights(camera.phase_steps_deg), plane_names(camera)
-    planes = [plane_of(raw, name, names) for name in names]
-    kind = _UINT16 if all(plane.dtype == _UINT16 for plane in planes) else _FLOAT32
+    planes = _samples(raw, names)
     shape, why = planes[0].shape, np.empty(planes[0].shape, np.uint8)
     images = np.empty((3, *shape), np.float32)
     spatially = len(order) > 1 and camera.unwrap_spatially
-    turns = np.empty((2, len(order), shape[0] if spatially else 1, shape[1]), np.float32)
-    reach, rule = filter_rule(camera)
+    turns = np.empty((2, shape[0] if spatially else 1, len(order), shape[1]), np.float32)
+    reach, rule = filter_rule(camera, wavelengths_m)
     limits = [camera.phase_sign, camera.min_amplitude, camera.max_phase_sigma_rad**2, wavelengths_m[0]]
     limits += [camera.offset_m / wavelengths_m[k] for k in order]
     _decode_rows(
-        tuple(np.ascontiguousarray(plane, kind) for plane in planes),
-        (weights, noise_model(camera), rule, np.array(limits, np.float32), plan),
+        planes,
+        (weights, noise_model(camera)),
+        (rule, np.array(limits, np.float32), plan),
         (reach, camera.pseudo_rows),
         np.array(order),
         turns,
@@ -220,39 +257,35 @@ def _decode(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _decode_rows(
-    planes: Any, model: Any, extent: tuple[int, int], order: Any, turns: Any, images: Any, why: Any
+    planes: Any, model: Any, rules: Any, extent: tuple[int, int], order: Any, turns: Any, images: Any, why: Any
 ) -> None:
     """Decode row by row; of the phasors only as many rows are kept as the filter looks at."""
-    weights, noise, rule, limits, plan = model
-    reach, pseudo_rows = extent
+    (rule, limits, plan), (reach, pseudo_rows) = rules, extent
     height, width = why.shape
     n_frequencies, n_rows = len(order), 2 * reach + 1
-    padded = width + 2 * reach
-    units = np.zeros((n_rows, 2 * n_frequencies, padded), np.float32)
-    sizes = np.zeros((n_rows, 2 * n_frequencies, padded), np.float32)
-    spread = np.full((n_rows, 2, padded), np.float32(np.nan))
+    units = np.zeros((n_rows, 2 * n_frequencies, width + 2 * reach), np.float32)
+    phasors, noises = np.zeros_like(units), np.zeros((n_rows, n_frequencies, width + 2 * reach), np.float32)
+    spread = np.full((n_rows, 3, width + 2 * reach), np.float32(np.nan))
+    ring = (units, phasors, noises, spread)
     mean, variance = np.empty((2 * n_frequencies, width), np.float32), np.empty((n_frequencies, width), np.float32)
-    scratch = np.empty((7, width), np.float32)
-    rows = np.empty(n_rows, np.int64)
-    inner = slice(reach, reach + width)
-    for step in range(height + reach):
-        slot, y = step % n_rows, step - reach
-        if step < height:
-            samples = (scratch, units[slot, :, inner], sizes[slot, :, inner], spread[slot, :, inner], why[step])
-            demodulate(planes, step, weights, noise, *samples)
-        if step < pseudo_rows or step >= height:
+    scratch, rows = np.empty((10, width), np.float32), np.empty(n_rows, np.int64)
+    for last in range(height + reach):
+        slot, y = last % n_rows, last - reach
+        if last < height:
+            demodulate(planes, last, model, ring, slot, scratch, why[last])
+        if last < pseudo_rows or last >= height:
             spread[slot] = np.float32(np.nan)
         if y < 0:
             continue
         if reach == 0:
-            keep(units[slot], sizes[slot], mean, variance)
+            keep(ring, mean, variance)
         else:
             for j in range(n_rows):
-                rows[j] = (step - n_rows + 1 + j) % n_rows
+                rows[j] = (last + 1 + j) % n_rows
             inside = min(y, reach) + min(height - 1 - y, reach) + 1
-            average(rows, units, sizes, spread, rule, inside, scratch, mean, variance, why[y])
-        row = y if turns.shape[2] > 1 else 0
-        cycles, certainty = turns[0, :, row], turns[1, :, row]
+            average(rows, inside, ring, rule, scratch, mean, variance, why[y])
+        row = y if turns.shape[1] > 1 else 0
+        cycles, certainty = turns[0, row], turns[1, row]
         _phases(mean, variance, order, limits, plan, cycles, certainty, images[2, y], why[y])
         if n_frequencies == 1:
             _single(cycles[0], certainty[0], limits[3], images[0, y], images[1, y])

@@ -84,11 +84,13 @@ class CwCamera:
     which is right across the wrap; only those of the same surface by `phasor_filter_sigmas` and `_contrast`."""
     phasor_filter_sigmas: Positive = 2.5
     """Neighbours whose phases differ by more standard deviations, in the mean over the frequencies, are left out."""
+    phasor_filter_tolerance_m: NonNegative = 0.0
+    """Difference of range that is allowed beside the noise, so that inclined surfaces are averaged, too."""
     phasor_filter_contrast: Annotated[float, Ge(1)] = 3.0
     """Neighbours whose amplitude differs by a greater factor are left out."""
     phasor_min_support: Fraction = 0.0
     """Pixels with which a smaller share of their neighbours could be averaged are FLYING: a mixture of two surfaces is
-    like neither of them."""
+    like neither of them. Inclined surfaces need a `phasor_filter_tolerance_m`."""
     unwrap_error: Annotated[float, Interval(gt=0, lt=1)] = 1e-3
     """A pixel is WRAPPED where another number of wraps is more than this fraction as likely as the likeliest."""
     unwrap_residual_sigmas: Positive = 4.0
@@ -99,6 +101,17 @@ class CwCamera:
     """Greatest range that unwrapping looks for; none: the unambiguous range of all frequencies together."""
     unwrap_spatially: bool = False
     """Pixels that cannot decide the number of wraps alone take the one that agrees with neighbours that could."""
+    stray_light: Scattering = Scattering()
+    """Stray light of the lens that ranging takes out of the samples, as `calibrate scattering` finds it; the microcontroller's
+    program (`cw_emulation`) does without, as without the next three."""
+    motion_sigmas: NonNegative = 0.0
+    """A pixel is MOTION if its samples, of four or more steps, contradict each other by more standard deviations than this
+    ... ; 0: off."""
+    motion_tolerance: NonNegative = 0.02
+    """... plus this part of its amplitude, for what moves smoothly along its ray."""
+    multipath_sigmas: NonNegative = 0.0
+    """A pixel is MULTIPATH if the ranges of its modulation frequencies contradict each other by more, but not so much that
+    it is WRAPPED; 0: off."""
     pseudo_rows: NonNegativeInt = 0
     """First rows of the image that carry the sensor's own data instead of light: SENSOR_FLAG."""
 

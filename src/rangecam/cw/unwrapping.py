@@ -137,29 +137,33 @@ def unwrap(cycles: Any, weights: Any, plan: Any, rows: Any, range_m: Any, sigma_
     cycles (K, W): phases in turns 0..1; weights (K, W): one over their variance, plan[6] of which is no noise; the
     anchor comes first in both. plan: number of candidates, largest residual (squared sigmas), least lead of the best
     over the next (in -2 ln likelihood), unambiguous range and greatest range (m), wraps of the anchor, squared error of
-    the phases beside noise (turns), then wraps of each over those of the anchor. rows (5, W): scratch.
+    the phases beside noise (turns), then wraps of each over those of the anchor. rows (10, W): scratch.
     """
-    best, second, found, precision, noise = rows[0], rows[1], rows[2], rows[3], rows[4]
-    best[:] = _HUGE
-    second[:] = _HUGE
-    found[:] = _ZERO
-    precision[:] = _ZERO
+    inverse, noise, offset, cost = rows[0], rows[1], rows[2], rows[3]
+    kept, other = rows[4:7], rows[7:10]
+    kept[:2] = _HUGE
+    kept[2] = _ZERO
+    inverse[:] = _ZERO
     noise[:] = _ZERO
     for k in range(cycles.shape[0]):
-        _add_precision(weights[k], plan[7 + k], plan[6], precision, noise)
+        _add_precision(weights[k], plan[7 + k], plan[6], inverse, noise)
+    for i in range(inverse.size):
+        inverse[i] = _ONE / inverse[i]
     for candidate in range(int(plan[0])):
-        if cycles.shape[0] == 2:
-            _try_two(np.float32(candidate), cycles, weights, plan[8], precision, best, second, found)
-        else:
-            _try_three(np.float32(candidate), cycles, weights, plan[8], plan[9], precision, best, second, found)
-    step_m = plan[3] / plan[5]
-    most, lead, whole_m, reach_m = plan[1], plan[2], plan[3], plan[4]
+        offset[:] = np.float32(candidate)
+        _fit(cycles, weights, plan, inverse, offset, cost)
+        _keep_best(np.float32(candidate), cost, kept[0], kept[1], kept[2], other[0], other[1], other[2])
+        kept, other = other, kept
+    best, second, wraps = kept[0], kept[1], kept[2]
+    offset[:] = wraps
+    _fit(cycles, weights, plan, inverse, offset, cost)
+    step_m, most, lead, whole_m, reach_m, turns = plan[3] / plan[5], plan[1], plan[2], plan[3], plan[4], cycles[0]
     for i in range(range_m.size):
-        value = found[i] * step_m
+        value = (turns[i] + wraps[i] - offset[i]) * step_m
         value = value - whole_m if value >= whole_m else value
         value = value + whole_m if value < _ZERO else value
         range_m[i] = value
-        sigma_m[i] = step_m * np.sqrt(noise[i]) / precision[i]
+        sigma_m[i] = step_m * np.sqrt(noise[i]) * inverse[i]
         decided = (best[i] <= most) & (second[i] - best[i] >= lead) & (value <= reach_m)
         why[i] = _WRAPPED if (why[i] == _VALID) & (not decided) else why[i]
 
@@ -173,50 +177,58 @@ def _add_precision(weight: Any, ratio: Any, error: Any, precision: Any, noise: A
         noise[i] += added * (_ONE - error * weight[i])
 
 
+@njit(cache=True, nogil=True)
+def _fit(cycles: Any, weights: Any, plan: Any, inverse: Any, wraps: Any, cost: Any) -> None:
+    """Replace the wraps of the anchor by what its phase is too large, by least squares; fill the squared residual."""
+    if cycles.shape[0] == 2:
+        _fit_two(cycles[0], cycles[1], weights[1], plan[8], inverse, wraps, cost)
+    else:
+        _fit_three(cycles[0], cycles[1], cycles[2], weights[1], weights[2], plan[8], plan[9], inverse, wraps, cost)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _try_two(
-    wraps: Any, cycles: Any, weights: Any, ratio: Any, precision: Any, best: Any, second: Any, found: Any
-) -> None:
-    u0, u1, w1 = cycles[0], cycles[1], weights[1]
-    for i in range(best.size):
-        turns = u0[i] + wraps
-        e1 = ratio * turns - u1[i]
+def _fit_two(u0: Any, u1: Any, w1: Any, ratio: Any, inverse: Any, wraps: Any, cost: Any) -> None:
+    for i in range(cost.size):
+        e1 = ratio * (u0[i] + wraps[i]) - u1[i]
         e1 -= np.rint(e1)
         slope = ratio * w1[i] * e1
-        offset = slope / precision[i]
-        cost = w1[i] * e1 * e1 - slope * offset
-        better = cost < best[i]
-        rest = best[i] if better else cost
-        second[i] = rest if rest < second[i] else second[i]
-        best[i] = cost if better else best[i]
-        found[i] = turns - offset if better else found[i]
+        wraps[i] = slope * inverse[i]
+        cost[i] = w1[i] * e1 * e1 - slope * wraps[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _try_three(
-    wraps: Any, cycles: Any, weights: Any, ratio1: Any, ratio2: Any, precision: Any, best: Any, second: Any, found: Any
+def _fit_three(
+    u0: Any, u1: Any, u2: Any, w1: Any, w2: Any, ratio1: Any, ratio2: Any, inverse: Any, wraps: Any, cost: Any
 ) -> None:
-    u0, u1, u2, w1, w2 = cycles[0], cycles[1], cycles[2], weights[1], weights[2]
-    for i in range(best.size):
-        turns = u0[i] + wraps
+    for i in range(cost.size):
+        turns = u0[i] + wraps[i]
         e1, e2 = ratio1 * turns - u1[i], ratio2 * turns - u2[i]
         e1, e2 = e1 - np.rint(e1), e2 - np.rint(e2)
-        # least squares of the range: the residuals are e + ratio offset, and 0 + offset of the anchor itself
+        # the residuals are e - ratio offset, and 0 - offset of the anchor itself
         slope = ratio1 * w1[i] * e1 + ratio2 * w2[i] * e2
-        offset = slope / precision[i]
-        cost = w1[i] * e1 * e1 + w2[i] * e2 * e2 - slope * offset
-        better = cost < best[i]
-        rest = best[i] if better else cost
-        second[i] = rest if rest < second[i] else second[i]
-        best[i] = cost if better else best[i]
-        found[i] = turns - offset if better else found[i]
+        offset = slope * inverse[i]
+        cost[i] = w1[i] * e1 * e1 + w2[i] * e2 * e2 - slope * offset
+        wraps[i] = offset
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _keep_best(
+    candidate: Any, cost: Any, best: Any, second: Any, wraps: Any, best_now: Any, second_now: Any, wraps_now: Any
+) -> None:
+    """Fill the best cost, the next one and the wraps of the best; in place, stores would be conditional and slow."""
+    for i in range(best.size):
+        new, first, next_one = cost[i], best[i], second[i]
+        worse = new if new > first else first
+        second_now[i] = worse if worse < next_one else next_one
+        best_now[i] = new if new < first else first
+        wraps_now[i] = candidate if new < first else wraps[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def unwrap_by_neighbours(cycles: Any, weights: Any, plan: Any, range_m: Any, sigma_m: Any, why: Any, given: Any) -> int:
     """Give undecided pixels the wraps with which they agree with decided neighbours; return how many got them.
 
-    cycles, weights (K, H, W). A pixel needs three decided neighbours of eight whose ranges agree with each other, and
+    cycles, weights (H, K, W). A pixel needs three decided neighbours of eight whose ranges agree with each other, and
     its own phases must allow the range that they suggest. given (H, W) bool: who was helped in this pass.
     """
     helped = 0
@@ -225,7 +237,7 @@ def unwrap_by_neighbours(cycles: Any, weights: Any, plan: Any, range_m: Any, sig
     for y in range(height):
         for x in range(width):
             given[y, x] = False
-            if why[y, x] != _WRAPPED or not weights[0, y, x] > _ZERO:
+            if why[y, x] != _WRAPPED or not weights[y, 0, x] > _ZERO:
                 continue
             n, mean, low, high, widest = 0, 0.0, 1e30, -1e30, 0.0
             for j in range(max(y - 1, 0), min(y + 2, height)):
@@ -253,12 +265,12 @@ def unwrap_by_neighbours(cycles: Any, weights: Any, plan: Any, range_m: Any, sig
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(expected_m: Any, step_m: Any, cycles: Any, weights: Any, plan: Any, y: int, x: int) -> Any:
     """Return the range by the wraps nearest to an expected one, m, and its squared residual in sigmas."""
-    turns = cycles[0, y, x]
+    turns = cycles[y, 0, x]
     turns += np.rint(expected_m / step_m - turns)
-    slope, square, precision = 0.0, 0.0, weights[0, y, x]
-    for k in range(1, cycles.shape[0]):
-        ratio, weight = plan[7 + k], weights[k, y, x]
-        error = ratio * turns - cycles[k, y, x]
+    slope, square, precision = 0.0, 0.0, weights[y, 0, x]
+    for k in range(1, cycles.shape[1]):
+        ratio, weight = plan[7 + k], weights[y, k, x]
+        error = ratio * turns - cycles[y, k, x]
         error -= np.rint(error)
         slope += ratio * weight * error
         square += weight * error * error
