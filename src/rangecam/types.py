@@ -58,6 +58,10 @@ class Why(IntEnum):
     """Outside the area of interest."""
     BORDER = 12
     """At the image border, where a filter has no full neighbourhood."""
+    MOTION = 13
+    """Something moved between its samples, which contradict each other."""
+    MULTIPATH = 14
+    """Light came on more than one way: modulation frequencies contradict each other."""
 
 
 @value
@@ -67,6 +71,7 @@ class RawFrame:
     planes: name -> (H, W) array. The names are the vocabulary of recordings and files alike:
         continuous wave   phase_0, phase_90, phase_180, phase_270 (the step in degrees); of frequency number k of
                           several f<k>_phase_0..
+        several exposures exposure_<microseconds>us_ before the name of each plane
         pulsed shutter    shutter_a, shutter_b, shutter_c (V, after correlated double sampling), n_acc,
                           ambient (V/s, rate of the background signal before the double sampling); gradient methods
                           shutter_a1, shutter_a2 or shutter_b1, shutter_b2; (D)CSI shutter_a_0.. (shutter_b_0..), one

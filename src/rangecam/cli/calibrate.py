@@ -164,7 +164,7 @@ def _finish(
 
 def _lines(found: dict[str, Any]) -> str:
     hidden = {"x", "variance", "error"}
-    return "\n".join(f"{name:12}{_short(value)}" for name, value in found.items() if name not in hidden)
+    return "\n".join(f"{name:15}{_short(value)}" for name, value in found.items() if name not in hidden)
 
 
 def _short(value: Any) -> str:
