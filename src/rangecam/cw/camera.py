@@ -6,7 +6,7 @@ import numpy as np
 
 from rangecam.cw.light import collect
 from rangecam.cw.link import transfer
-from rangecam.cw.pixel import respond
+from rangecam.cw.pixel import respond, temperature_c
 from rangecam.cw.scattering import scatter
 from rangecam.cw.sequence import Exposure, exposure_times_s, exposures, fastest_frame_rate_hz, plane_names
 from rangecam.cw.settings import CwCamera
@@ -23,6 +23,7 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     with several `exposure_samples` what moves within one exposure is blurred. Noise is Gaussian with `sample_variance`;
     then rounding and limits of the converter, and the way over the interface. The planes are uint16 where the
     converter's limits and step allow, else float32. Noise is drawn first and is the same whatever imperfection is on.
+    Plane temperature_c, degrees Celsius, is there if the camera measures it.
     Raises UsageError if `cw.sequence.exposures` does, if the camera cannot be that fast, or if the region of
     interest leaves the image.
     """
@@ -38,7 +39,11 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
         sample, light = respond(_expose(seen, exposure, middle_s), exposure.camera)
         noise = rng.standard_normal(sample.shape, np.float32) * np.sqrt(sample_variance(light, camera))
         planes[exposure.plane] = _read_out(sample + noise, camera)
-    return RawFrame(time_s, {name: transfer(planes[name], camera.link, rng) for name in plane_names(camera)})
+    planes = {name: transfer(planes[name], camera.link, rng) for name in plane_names(camera)}
+    if camera.temperature.measured:
+        first = next(iter(planes.values()))
+        planes["temperature_c"] = np.full(first.shape, temperature_c(camera, time_s), np.float32)
+    return RawFrame(time_s, planes)
 
 
 def _seen_at(view: Callable[[float], View], time_s: float) -> Callable[[float], View]:

@@ -70,6 +70,8 @@ class Temperature:
     """How much warmer it becomes by itself in the end."""
     heating_time_s: Positive = 600.0
     """Time constant of that."""
+    measured: bool = False
+    """Frames carry the temperature, as plane temperature_c."""
 
 
 @settings

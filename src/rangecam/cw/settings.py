@@ -48,6 +48,18 @@ class CwCamera:
     """Added to every range, then wrapped into the unambiguous range; minus d_global of Steinbäck 2016, eq 3.13."""
     speed_of_light_mps: Positive = SPEED_OF_LIGHT
     """3e8 reproduces the numbers of the thesis, which were computed with it (N-S-003)."""
+    wiggling_table_m: tuple[tuple[float, ...], ...] = ()
+    """How much too long a range is measured (S-EFF-01), m, at equal steps of the phase from zero on, before `offset_m`;
+    between them the periodic cubic spline. Four values or more for each modulation frequency; none: no correction."""
+    wiggling_harmonics_m: tuple[tuple[tuple[float, float], ...], ...] = ()
+    """The same as harmonics of the phase: cosine and sine parts of the first, second, ... one, m, for each modulation
+    frequency; none: no correction."""
+    drift_m_per_k: float = 0.0
+    """How much more each range is measured too long for each kelvin above `drift_reference_c`; 0: no correction."""
+    drift_reference_c: float = 25.0
+    """Temperature for which `offset_m` and the images of a calibration hold, degrees Celsius."""
+    temperature_c: float = 25.0
+    """Temperature of the camera for the correction of drift, where the frames do not carry it in temperature_c."""
 
     pixel: Literal["differential", "single_ended"] = "differential"
     """differential: a sample is the difference of two taps, ambient light cancels in it and leaves only its shot noise;
@@ -102,16 +114,16 @@ class CwCamera:
     unwrap_spatially: bool = False
     """Pixels that cannot decide the number of wraps alone take the one that agrees with neighbours that could."""
     stray_light: Scattering = Scattering()
-    """Stray light of the lens that ranging takes out of the samples, as `calibrate scattering` finds it; the microcontroller's
-    program (`cw_emulation`) does without, as without the next three."""
+    """Stray light that ranging takes out of the samples, as it is known of the lens (`cw.scattering_fit`). Like the next
+    three it is nothing that the program of the microcontroller (`cw_emulation`) does."""
     motion_sigmas: NonNegative = 0.0
-    """A pixel is MOTION if its samples, of four or more steps, contradict each other by more standard deviations than this
-    ... ; 0: off."""
+    """A pixel is MOTION if its samples, of four or more steps, contradict each other by more standard deviations than
+    this, ... 0: off."""
     motion_tolerance: NonNegative = 0.02
-    """... plus this part of its amplitude, for what moves smoothly along its ray."""
+    """... plus this part of its amplitude, for surfaces that come nearer smoothly."""
     multipath_sigmas: NonNegative = 0.0
-    """A pixel is MULTIPATH if the ranges of its modulation frequencies contradict each other by more, but not so much that
-    it is WRAPPED; 0: off."""
+    """A pixel is MULTIPATH if its modulation frequencies contradict each other by more standard deviations, yet not so
+    much that it is WRAPPED; 0: off."""
     pseudo_rows: NonNegativeInt = 0
     """First rows of the image that carry the sensor's own data instead of light: SENSOR_FLAG."""
 
