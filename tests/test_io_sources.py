@@ -192,3 +192,9 @@ def test_suffixes_may_be_written_in_capitals(raw: Path) -> None:
 def test_every_opener_is_reached_by_a_url() -> None:
     assert set(SCHEMES) == {"scenario"}
     assert set(SUFFIXES) == {".npz", ".mcap"}
+
+
+def test_a_laser_above_its_thermal_limit_is_a_note_that_names_the_limit() -> None:
+    hot = open_source("scenario:braking-car", layers=[{"camera": {"laser": {"repetition_hz": 11e3}}}])
+    assert [note for note in hot.notes if "thermal limit" in note and "1.034e+04 Hz" in note]
+    assert not [note for note in open_source("scenario:braking-car").notes if "thermal" in note]

@@ -13,6 +13,7 @@ from rangecam.errors import DataError, UsageError
 from rangecam.io import npz, recording
 from rangecam.io.content import Captures, Content, Source
 from rangecam.io.files import check_source
+from rangecam.pulsed import warnings_of
 from rangecam.types import Capture
 
 _RECALIBRATE_K = 10.0
@@ -97,7 +98,9 @@ def _calibrated(
 
 
 def _advice(content: Content, path: str, calibration: Calibration | None, config: Config) -> Iterator[str]:
-    """Yield what a user should know of the calibration (K-CAL-02)."""
+    """Yield what a user should know of the camera and of its calibration (K-CAL-02, K-ILL-08)."""
+    if config.camera.kind == "pulsed":
+        yield from warnings_of(config.camera)
     recorded = _recorded(content)
     if recorded and path != recorded:
         yield f"the calibration that it was recorded with, {recorded}, is not used"
