@@ -94,7 +94,7 @@ _PARTS = POSITION, VELOCITY, ACCELERATION
 def _claims(scene: str, name: str, errors: tuple[float, float, float], anees: float) -> list[Claim]:
     """Return what is said of a model on a scene; of the interacting one, whether it is as good as is asked."""
     position, velocity, acceleration = errors
-    id, of = f"T-{scene}", f"{scene}, {name}"
+    id, of = "K-FUT-09", f"{scene}, {name}"
     claims = [derived(id, f"{of}: RMS error of the position", position, "m")]
     if name == "interacting":
         limit = _LIMITS[scene]
