@@ -210,10 +210,10 @@ def average(rows: Any, inside: int, ring: Any, rule: Any, scratch: Any, mean: An
     """Average one row of phasors with the neighbours that belong to the same surface.
 
     rows: which rows of the ring hold the neighbourhood, the middle one its centre; inside: how many of them lie in the
-    image. A neighbour takes part if the squared distance of the unit phasors is below rule[0] times what noise makes of
-    it plus rule[3], and neither amplitude is more than rule[1] times the other. mean (2 K, W): Re and Im; variance (K, W): across
-    the phasor, LSB2, shared out among the frequencies as at the centre. Pixels with which less than rule[2] of the
-    neighbours that there are can be averaged are FLYING.
+    image. A neighbour takes part if the squared distance of the unit phasors is below rule[0] times what noise makes
+    of it plus rule[3], and neither amplitude is more than rule[1] times the other. mean (2 K, W): Re and Im; variance
+    (K, W): across the phasor, LSB2, shared out among the frequencies as at the centre. Pixels with which less than
+    rule[2] of the neighbours that there are can be averaged are FLYING.
     """
     units, phasors, noises, spread = ring
     reach, width, n_frequencies = len(rows) // 2, why.size, variance.shape[0]

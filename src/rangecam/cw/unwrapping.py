@@ -74,16 +74,19 @@ def combined_sigma_m(phase_sigmas_rad: Sequence[float], combination: Combination
 
 
 def gross_error_probability(phase_sigmas_rad: Sequence[float], combination: Combination) -> float:
-    """Return how probable it is that the likeliest number of wraps is a wrong one, for Gaussian phase noise.
+    """Return how probable it is that the likeliest number of wraps is a wrong one, at given phase noises.
 
-    Two frequencies: exact. m = p_2 u_1 - p_1 u_2 is a whole number plus noise, and goes wrong where the noise exceeds
-    a half: erfc(1 / (2 sqrt(2) sigma_m)). Three: the union bound over the wrong wraps, each at half its distance, which
-    is an upper limit and close to the truth while it is small. Beyond 0.3 rad the arctangent adds to it.
+    phase_sigmas_rad: of each frequency, the noise of a sample over its amplitude, propagated to the phase. Two
+    frequencies: exact. p_2 u_1 - p_1 u_2 is a whole number plus noise, and goes wrong where the noise exceeds a half.
+    Three: the union bound over the wrong numbers, an upper limit and close to the truth while it is small. The noise of
+    a phase has the tails of the arctangent of a noisy phasor, which 0.2 rad already double the errors of a Gaussian.
     """
-    distances = _distances(tuple(s / (2 * math.pi) for s in phase_sigmas_rad), combination.wraps)
+    rivals = _rivals(tuple(phase_sigmas_rad), combination.wraps)
     if len(combination.wraps) == 2:
-        return math.erfc(distances[0] / (2 * math.sqrt(2)))
-    return min(1.0, sum(math.erfc(d / (2 * math.sqrt(2))) / 2 for d in distances))
+        rivals = rivals[:2]
+    nearest = min(length for length, _ in rivals)
+    near = [rival for rival in rivals if rival[0] < nearest + 3]
+    return min(1.0, sum(_beyond(across, length**2 / 2, phase_sigmas_rad) for length, across in near))
 
 
 def accepted_error_probability(
@@ -91,43 +94,67 @@ def accepted_error_probability(
 ) -> tuple[float, float]:
     """Return the probabilities that a pixel is accepted with wrong wraps, and that it is rejected as undecidable.
 
-    For two frequencies, without the test of the residual: a pixel is accepted if the noise of m, in units of its sigma,
-    stays within rho of a whole number, where rho follows from the ratio of likelihoods that `unwrap_error` demands.
-    Raises UsageError for more frequencies, for which `studies/unwrapping.py` counts.
+    For two frequencies, without the test of the residual: a pixel is accepted if the noise of p_2 u_1 - p_1 u_2 stays
+    within a distance of a whole number that follows from the ratio of likelihoods that `unwrap_error` demands.
+    Raises UsageError for three frequencies, for which nothing but counting helps.
     """
     if len(combination.wraps) != 2:
         raise UsageError("the probability of accepted errors is known for two frequencies only")
-    distance = _distances(tuple(s / (2 * math.pi) for s in phase_sigmas_rad), combination.wraps)[0]
-    rho = (distance - 2 * math.log(1 / unwrap_error) / distance) / 2
-    if rho <= 0:
+    length, across = _rivals(tuple(phase_sigmas_rad), combination.wraps)[0]
+    margin = length**2 / 2 - math.log(1 / unwrap_error)  # on the scale on which the next candidate is length^2 away
+    if margin <= 0:
         return 0.0, 1.0
-    root = math.sqrt(2)
-    right = math.erf(rho / root)
-    near = [math.erf((j * distance + rho) / root) - math.erf((j * distance - rho) / root) for j in range(1, 20)]
-    return sum(near), 1 - right - sum(near)
+
+    def tail(limit: float) -> float:
+        return _beyond(across, limit, phase_sigmas_rad)
+
+    wrong = 2 * sum(tail(j * length**2 - margin) - tail(j * length**2 + margin) for j in range(1, 4))
+    return max(0.0, wrong), max(0.0, 2 * tail(margin) - wrong)
 
 
 @lru_cache(maxsize=64)
-def _distances(sigmas_turns: tuple[float, ...], wraps: tuple[int, ...]) -> tuple[float, ...]:
-    """Return how far the nearest wrong numbers of wraps lie from the right ones, in standard deviations, ascending.
+def _rivals(sigmas_rad: tuple[float, ...], wraps: tuple[int, ...]) -> tuple[tuple[float, tuple[float, ...]], ...]:
+    """Return the wrong numbers of wraps as seen from the right ones: distance in standard deviations, and the vector.
 
-    That is the length of (n_k / sigma_k) across the direction (p_k / sigma_k), along which a mere change of the range
-    lies; two wrong candidates that differ by whole unambiguous ranges are one.
+    The vector is (2 pi n_k / sigma_k) across the direction (p_k / sigma_k), along which a mere change of the range
+    lies. Two that differ by whole unambiguous ranges are one. The nearest come first.
     """
-    p, sigma = np.array(wraps, float), np.array(sigmas_turns)
+    p, sigma = np.array(wraps, float), np.array(sigmas_rad) / (2 * math.pi)
     direction = (p / sigma) / np.linalg.norm(p / sigma)
-    found: dict[tuple[int, ...], float] = {}
+    found: dict[tuple[int, ...], tuple[float, tuple[float, ...]]] = {}
     for start, others in product(range(2 * wraps[0] + 1), product((-1, 0, 1), repeat=len(wraps) - 1)):
-        along = start / wraps[0]
-        n = np.array([start, *(round(along * q) + o for q, o in zip(wraps[1:], others, strict=True))], float)
-        scaled = n / sigma
-        across = scaled - (scaled @ direction) * direction
+        n = np.array([start, *(round(start / wraps[0] * q) + o for q, o in zip(wraps[1:], others, strict=True))], float)
+        across = n / sigma - (n / sigma @ direction) * direction
         relations = tuple(int(n[i] * wraps[j] - n[j] * wraps[i]) for i, j in combinations(range(len(wraps)), 2))
         if any(relations):
-            length = float(np.linalg.norm(across))
             for sign in (1, -1):
-                found[tuple(sign * r for r in relations)] = length
+                vector = tuple((sign * across).tolist())
+                found[tuple(sign * r for r in relations)] = (float(np.linalg.norm(across)), vector)
     return tuple(sorted(found.values()))
+
+
+def _beyond(across: Sequence[float], limit: float, sigmas_rad: Sequence[float]) -> float:
+    """Return the probability that the sum of across_k error_k / sigma_k exceeds a limit.
+
+    The errors are those of the phases of noisy phasors; by the characteristic function, real as their density is even.
+    """
+    error = np.linspace(-math.pi, math.pi, 1601)
+    omega = (np.arange(800) + 0.5) * (12 / float(np.linalg.norm(across)) / 800)
+    characteristic = np.ones(omega.shape)
+    for part, sigma in zip(across, sigmas_rad, strict=True):
+        density = _phase_density(error, sigma)
+        characteristic *= np.cos(np.outer(omega, error * (part / sigma))) @ (density / density.sum())
+    inverted = np.sum(np.sin(omega * limit) * characteristic / omega) * (omega[1] - omega[0])
+    return max(0.0, 0.5 - float(inverted) / math.pi)
+
+
+def _phase_density(error_rad: Floats, sigma_rad: float) -> Floats:
+    """Return the density of the phase error of a phasor with noise of `sigma_rad` amplitudes in each component."""
+    snr, cosine = 1 / sigma_rad, np.cos(error_rad)
+    below = 0.5 * np.array([math.erfc(-snr * c / math.sqrt(2)) for c in cosine])
+    peak = snr * cosine / math.sqrt(2 * math.pi) * np.exp(-((snr * np.sin(error_rad)) ** 2) / 2) * below
+    density: Floats = math.exp(-(snr**2) / 2) / (2 * math.pi) + peak
+    return density
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})

@@ -14,6 +14,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
 - filters: the filters of cleaning side by side
+- unwrapping: several modulation frequencies, their errors and what the phasor filter saves
 """
 
 from collections.abc import Callable
@@ -46,6 +47,7 @@ from rangecam.studies.pulsed_scenes import pulsed_scenes
 from rangecam.studies.pulsed_sensor import pulsed_sensor
 from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table, verdicts
 from rangecam.studies.tracking_models import tracking_models
+from rangecam.studies.unwrapping import unwrapping
 
 STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "ranging-principles": ranging_principles,
@@ -71,6 +73,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "arctangents": arctangents,
     "emulation": emulation,
     "filters": filters,
+    "cw-unwrapping": unwrapping,
 }
 """Studies by name."""
 
