@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from rangecam.calibration import Calibration, Recording, load_calibration
+from rangecam.calibration.noise import fit_noise
 from rangecam.cli import main
 from rangecam.errors import DataError, UsageError
 from rangecam.io import open_source
 from rangecam.pulsed import CALIBRATE, RANGING, PulsedCamera, simulate
-from rangecam.pulsed.noise_fit import fit_dark_noise, fit_tap_noise
+from rangecam.pulsed.noise_fit import fit_dark_noise
 from rangecam.pulsed.pixel import damping, dark_noise
 from rangecam.pulsed.settings import Pixel, Taps
 from rangecam.scene.view import View
@@ -314,16 +315,16 @@ def test_pixels_that_flicker_do_not_decide_the_tap_noise():
     variance[(light > 100) & (light < 140)] *= 1.3
     variance[rng.random(light.size) < 0.05] *= 50
     variance[light > 700] *= rng.uniform(1, 1000, (light > 700).sum())
-    fit = fit_tap_noise(light, variance, 30)
+    fit = fit_noise(light, variance, 30)
     assert np.sqrt(fit.base) == pytest.approx(3.0, rel=0.02)
     assert fit.slope == pytest.approx(0.02, rel=0.08)
     assert fit.x.max() < 720
     with pytest.raises(DataError, match="too few to tell"):
-        fit_tap_noise(light[:10], variance[:10], 30)
+        fit_noise(light[:10], variance[:10], 30)
     with pytest.raises(DataError, match="three are needed for a line"):
-        fit_tap_noise(np.zeros(1000), np.ones(1000), 30)
+        fit_noise(np.zeros(1000), np.ones(1000), 30)
     with pytest.raises(DataError, match="does not grow with the light"):
-        fit_tap_noise(light, rng.chisquare(29, light.size) / light.clip(1), 30)
+        fit_noise(light, rng.chisquare(29, light.size) / light.clip(1), 30)
 
 
 @recorded

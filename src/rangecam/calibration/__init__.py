@@ -3,6 +3,7 @@
 - file: `Calibration` = settings of the camera that it determines + images of every pixel; saved, loaded, attached
 - dark: what a camera reads in darkness, for each number of accumulations
 - distance: the curve of a camera and the line of each pixel, from measured to true range
+- noise: variance over light, as a line
 - recording: what all of it is estimated from
 What an image corrects, and when, is the business of the family (its `calibrated.py`), as are the steps of a calibration
 (its `CALIBRATE`).
@@ -11,7 +12,7 @@ What an image corrects, and when, is the business of the family (its `calibrated
 from rangecam.calibration.dark import Still, estimate_dark
 from rangecam.calibration.distance import Line, Plane, apply_curve, fit_curve, fit_range, mean_plane
 from rangecam.calibration.file import Calibration, attach, check_made_for, load_calibration, save_calibration
-from rangecam.calibration.recording import Recording
+from rangecam.calibration.recording import Recording, begun, known_of
 
 __all__ = [
     "Calibration",
@@ -21,10 +22,12 @@ __all__ = [
     "Still",
     "apply_curve",
     "attach",
+    "begun",
     "check_made_for",
     "estimate_dark",
     "fit_curve",
     "fit_range",
+    "known_of",
     "load_calibration",
     "mean_plane",
     "save_calibration",

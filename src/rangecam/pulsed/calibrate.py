@@ -12,16 +12,18 @@ from rangecam.calibration import (
     Plane,
     Recording,
     attach,
-    check_made_for,
+    begun,
     estimate_dark,
     fit_curve,
     fit_range,
+    known_of,
     mean_plane,
 )
+from rangecam.calibration.noise import NoiseFit, fit_noise
 from rangecam.errors import DataError, UsageError
 from rangecam.geometry import rays
 from rangecam.pulsed.calibrated import INTERCEPT, SLOPE, made_for
-from rangecam.pulsed.noise_fit import NoiseFit, fit_dark_noise, fit_tap_noise
+from rangecam.pulsed.noise_fit import fit_dark_noise
 from rangecam.pulsed.settings import PulsedCamera
 from rangecam.types import Floats, RangeImage
 
@@ -39,7 +41,7 @@ def dark(recordings: Sequence[Recording], start: Calibration) -> Calibration:
     camera, taps = _camera(recordings), _camera(recordings).readout == "three_tap"
     still = estimate_dark(chain.from_iterable(each.frames for each in recordings), "tap_" if taps else "shutter_")
     taken = {**_taken(start, camera), "dark": {"frames": still.frames.tolist(), "n_acc": still.accumulations.tolist()}}
-    start = replace(_begun(recordings, start, camera), taken=taken)
+    start = replace(begun(recordings, start, camera, made_for), taken=taken)
     if taps:
         images = {name.replace("tap_", "dark_"): stack[0] for name, stack in still.mean.items()}
         return replace(start, planes={**start.planes, **images})
@@ -55,12 +57,14 @@ def distance(recordings: Sequence[Recording], start: Calibration, *, straight: b
     `fit_range` do.
     """
     camera = _camera(recordings)
-    depth_m = [_known(each, "distance of its target") for each in recordings]
+    depth_m = [known_of(each, "distance of its target") for each in recordings]
     along = rays(camera.lens, (camera.rows, camera.columns))[..., 0]
     planes = [
         mean_plane(_images(one, camera, start), depth / along) for one, depth in zip(recordings, depth_m, strict=True)
     ]
-    return _with_range(planes, _begun(recordings, start, camera), camera, straight, {"targets_m": sorted(depth_m)})
+    return _with_range(
+        planes, begun(recordings, start, camera, made_for), camera, straight, {"targets_m": sorted(depth_m)}
+    )
 
 
 def delay(
@@ -77,7 +81,7 @@ def delay(
     crosstalk and stray light), blur and parallax of the near range, and an error of the delays themselves, which goes
     into the ranges in full. Raises UsageError if the laser delays that the recordings state do not fit `known`.
     """
-    later_s = [_known(each, "delay of its laser") for each in recordings]
+    later_s = [known_of(each, "delay of its laser") for each in recordings]
     camera = _in_use([each.camera for each in recordings], later_s)
     along = rays(camera.lens, (camera.rows, camera.columns))[..., 0]
     half_c = camera.speed_of_light_mps / 2
@@ -87,7 +91,7 @@ def delay(
     ]
     in_use = [replace(each, camera=camera) for each in recordings]
     facts = {"delays_s": sorted(later_s), "target_m": distance_m}
-    return _with_range(planes, _begun(in_use, start, camera), camera, straight, facts)
+    return _with_range(planes, begun(in_use, start, camera, made_for), camera, straight, facts)
 
 
 def noise(recordings: Sequence[Recording], start: Calibration) -> Calibration:
@@ -97,7 +101,7 @@ def noise(recordings: Sequence[Recording], start: Calibration) -> Calibration:
     one with tap_std_1..3 and dark_1..3. Raises DataError as the fits do.
     """
     camera = _camera(recordings)
-    start = _begun(recordings, start, camera)
+    start = begun(recordings, start, camera, made_for)
     fit = (_tap_noise if camera.readout == "three_tap" else _dark_noise)(recordings, camera)
     line, section, found = fit
     settings = {**start.settings, section: {**start.settings.get(section, {}), **found}}
@@ -140,7 +144,7 @@ def _tap_noise(recordings: Sequence[Recording], camera: PulsedCamera) -> tuple[N
         for kind in ("tap", "dark", "tap_std")
     )
     below = level < _USED_OF_SATURATION * camera.taps.saturation_counts
-    fit = fit_tap_noise((level - black)[below], deviation[below] ** 2, count)
+    fit = fit_noise((level - black)[below], deviation[below] ** 2, count)
     return fit, "taps", {
         "read_noise_counts": float(np.sqrt(fit.base)),
         "shot_noise_counts2_per_count": fit.slope,
@@ -151,22 +155,6 @@ def _tap_noise(recordings: Sequence[Recording], camera: PulsedCamera) -> tuple[N
 def _camera(recordings: Sequence[Recording]) -> PulsedCamera:
     camera: PulsedCamera = recordings[0].camera
     return camera
-
-
-def _known(recording: Recording, what: str) -> float:
-    if recording.known is None:
-        raise UsageError(f"{recording.name}: the {what} is not said; write NUMBER={recording.name}")
-    return recording.known
-
-
-def _begun(recordings: Sequence[Recording], start: Calibration, camera: PulsedCamera) -> Calibration:
-    """Return the calibration so far, made for this camera; raises UsageError if it or a recording is of another."""
-    facts = made_for(camera, recordings[0].method)
-    for each in recordings[1:]:
-        check_made_for(recordings[0].name, Calibration(facts), made_for(each.camera, each.method))
-    if start.made_for:
-        check_made_for("--from", start, facts)
-    return replace(start, made_for=facts)
 
 
 def _taken(start: Calibration, camera: PulsedCamera) -> dict[str, Any]:
