@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from rangecam.config import Config
+from rangecam.metrics import quality_of, scored
+from rangecam.metrics.quality import Scored
 from rangecam.types import CLASSES, Capture, Decision, Frame, TrackStatus
 
 
@@ -51,6 +53,7 @@ class Summary:
         self._braking = False
         self._brake_frames = 0
         self._tracks: dict[int, dict[str, Any]] = {}
+        self._scored: list[Scored] = []
         self._digest = hashlib.sha256()
 
     def write(self, capture: Capture, frame: Frame) -> None:
@@ -64,6 +67,8 @@ class Summary:
             self._events.append(_event(decision))
         self._braking = decision.brake
         tracks, threats = frame.tracks, decision.collisions
+        if (against_truth := scored(capture, frame, self._config)) is not None:
+            self._scored.append(against_truth)
         for values in (
             tracks.track_id,
             tracks.status,
@@ -97,7 +102,10 @@ class Summary:
         """Nothing to close."""
 
     def result(self, watch: Stopwatch) -> dict[str, Any]:
-        """Return the summary as JSON values; `digest` is equal if and only if every track and decision was."""
+        """Return the summary as JSON values; `digest` is equal if and only if every track and decision was.
+
+        `quality` is there where the truth is known: see `metrics.quality_of`.
+        """
         from rangecam import __version__
 
         span = self._times[-1] - self._times[0] if self._times else 0.0
@@ -116,6 +124,7 @@ class Summary:
             "segments_per_frame": self._segments,
             "tracks": list(self._tracks.values()),
             "decisions": {"brake_frames": self._brake_frames, "events": self._events},
+            **({"quality": quality_of(self._scored)} if self._scored else {}),
             "latency_ms": watch.latency_ms(),
             "digest": self._digest.hexdigest(),
             "version": __version__,
@@ -150,6 +159,7 @@ def describe(result: dict[str, Any]) -> str:
         f"objects    {count(len(tracks), 'confirmed track')}",
         *_first([_describe_track(track) for track in tracks], 8),
         *(_first(brakes, 5) or ["brake      never"]),
+        *_describe_quality(result.get("quality")),
     ]
     if "sum" in result["latency_ms"]:
         total = result["latency_ms"]["sum"]
@@ -165,6 +175,15 @@ def count(number: int, what: str) -> str:
 def _describe_track(track: dict[str, Any]) -> str:
     seen = f"{track['first_s']:.2f}-{track['last_s']:.2f} s"
     return f"           #{track['track_id']} {track['class']}: {seen}, nearest {track['nearest_m']:.2f} m"
+
+
+def _describe_quality(quality: dict[str, Any] | None) -> list[str]:
+    """Return what the truth says of the tracks, if any object of it was followed."""
+    if quality is None or quality["rmse_position_m"] is None:
+        return []
+    errors = f"{quality['rmse_position_m']:.3f} m, {quality['rmse_velocity_mps']:.3f} m/s"
+    scores = f"MOTA {quality['clear']['mota']:.2f}, HOTA {quality['hota']['hota']:.2f}"
+    return [f"truth      RMS error {errors}; {scores}"]
 
 
 def _first(lines: list[str], most: int) -> list[str]:

@@ -15,8 +15,9 @@ class TrackingSettings:
     motion: MotionSettings = MotionSettings()
     association: Literal["global", "by_age"] = "global"
     """global: the best pairing as a whole; by_age: the oldest track chooses first (the thesis)."""
-    gate_probability: Annotated[float, Interval(gt=0, lt=1)] = 0.999
-    """Share of true measurements that lie in the gate around the predicted position."""
+    gate_probability: Annotated[float, Interval(gt=0, le=1)] = 0.999
+    """Share of true measurements that lie in the gate around the predicted position. 1: hardly any gate, a thousand
+    standard deviations wide."""
     speed_sigma_mps: Positive = 5.0
     """How fast new objects may be: their velocity starts as 0 with this standard deviation, along each axis."""
     acceleration_sigma_mps2: Positive = 3.0

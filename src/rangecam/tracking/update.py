@@ -160,6 +160,6 @@ def _constants(settings: TrackingSettings) -> Floats:
 def gate_threshold(probability: float) -> float:
     """Return the squared Mahalanobis distance within which a three-dimensional measurement lies with `probability`.
 
-    The quantile of chi-square with three degrees of freedom (König 2008, appendix B).
+    The quantile of chi-square with three degrees of freedom (König 2008, appendix B); at most 1000 squared.
     """
-    return float(chdtri(3, 1 - probability))
+    return min(float(chdtri(3, 1 - probability)), 1e6)
