@@ -220,7 +220,7 @@ def _counted(camera: CwCamera, together: Combination, sigma_rad: float, rng: np.
         sample = amplitude * np.cos(2 * np.pi * turns + np.radians(exposure.step_deg))
         noise = noise_lsb * rng.standard_normal(truth.shape)
         planes[exposure.plane] = (camera.black_level_lsb + sample + noise).astype(np.float32)
-    lenient = {"unwrap_error": 1 - 1e-9, "unwrap_residual_sigmas": 100.0, "unwrap_phase_error_rad": 0.0}
-    image = cw_multi_frequency(RawFrame(0.0, planes), replace(camera, read_noise_lsb=noise_lsb, **lenient))
+    lenient = replace(camera, unwrap_error=1 - 1e-9, unwrap_residual_sigmas=100.0, unwrap_phase_error_rad=0.0)
+    image = cw_multi_frequency(RawFrame(0.0, planes), replace(lenient, read_noise_lsb=noise_lsb))
     step_m = together.unambiguous_m / max(together.wraps)
     return float(np.mean(np.abs(image.range_m - truth) > step_m / 2))
