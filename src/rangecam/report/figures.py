@@ -39,6 +39,8 @@ WHY_COLOURS = {
     Why.FLOOR: "#86efac",
     Why.OUTSIDE_AREA: "#bfdbfe",
     Why.BORDER: "#94a3b8",
+    Why.MOTION: "#2563eb",
+    Why.MULTIPATH: "#15803d",
 }
 STYLE: Any = {
     "font.size": 9.0,

@@ -1,0 +1,113 @@
+"""Continuous-wave ranging with the corrections that need no calibration of each pixel."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache, wraps
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rangecam.cw.contradictions import light_level, moved, noise_of, several_ways
+from rangecam.cw.ranging import PLANES, cw_four_phase
+from rangecam.cw.scattering import scatter, stray_light
+from rangecam.cw.sequence import plane_names
+from rangecam.cw.settings import CwCamera
+from rangecam.errors import UsageError
+from rangecam.planes import plane_of
+from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
+
+Method = Callable[[RawFrame, CwCamera], RangeImage]
+
+
+def corrected(method: Method) -> Method:
+    """Return the ranging method with what `stray_light`, `motion_sigmas` and `multipath_sigmas` of the camera ask for.
+
+    Stray light is taken out of the samples, and its shot noise stays in sigma_m; where something moved a pixel is
+    MOTION, where frequencies contradict each other MULTIPATH. Limits of the converter are judged before. A saturated
+    pixel is taken for as bright as it reads, so that its stray light is underestimated.
+    Raises UsageError for a test that the camera's steps or frequencies do not allow, DataError for a missing or
+    misshapen plane, and what the method raises.
+    """
+
+    @wraps(method)
+    def with_corrections(raw: RawFrame, camera: CwCamera) -> RangeImage:
+        if not (camera.stray_light.stray_fraction or camera.motion_sigmas or camera.multipath_sigmas):
+            return method(raw, camera)
+        alone = method is cw_four_phase
+        return _ranged(raw, camera, method, PLANES if alone else plane_names(camera), alone)
+
+    return with_corrections
+
+
+def _ranged(raw: RawFrame, camera: CwCamera, method: Method, names: tuple[str, ...], alone: bool) -> RangeImage:
+    """Return the image of a method that reads the planes `names`; alone: a quarter period apart, at one frequency."""
+    steps_deg = (0.0, 90.0, 180.0, 270.0) if alone else camera.phase_steps_deg
+    if camera.multipath_sigmas and (alone or len(camera.modulations_hz) < 2):
+        raise UsageError(
+            "camera.multipath_sigmas: one modulation frequency cannot tell multipath; it needs camera.modulations_hz "
+            "and ranging = 'cw_multi_frequency'"
+        )
+    samples = np.stack([plane_of(raw, name, names) for name in names]).astype(np.float32)
+    why = _refused(samples, camera)
+    samples -= np.float32(camera.black_level_lsb)
+    stray = stray_light(np.where(_lit(samples, why, camera), samples, 0), camera.stray_light)
+    samples -= stray
+    by_frequency = samples.reshape(-1, len(steps_deg), *why.shape)
+    if camera.motion_sigmas:
+        why[moved(by_frequency, steps_deg, camera) & (why == Why.VALID)] = Why.MOTION
+    if camera.phasor_filter != "off":
+        samples[:, why != Why.VALID] = np.nan  # not to be averaged with its neighbours
+    planes = dict(zip(names, samples + np.float32(camera.black_level_lsb), strict=True))
+    image = method(_with(raw, planes), _without_limits(camera))
+    if camera.multipath_sigmas:
+        why[several_ways(by_frequency, image.range_m, camera) & (image.why == Why.VALID) & (why == Why.VALID)] = (
+            Why.MULTIPATH
+        )
+    sigma_m = image.sigma_m * _more_noise(samples, stray, image.amplitude, camera)
+    why = np.where(why == Why.VALID, image.why, why)
+    why[: camera.pseudo_rows] = Why.SENSOR_FLAG
+    return replace(image, sigma_m=sigma_m.astype(np.float32), why=why)
+
+
+def _refused(samples: Floats, camera: CwCamera) -> NDArray[np.uint8]:
+    """Return why (H, W) a pixel cannot be used, as the methods find it, of samples (K, H, W) as they came."""
+    smallest, largest = samples.min(axis=0), samples.max(axis=0)
+    why = np.where(smallest == largest, Why.NO_SIGNAL, Why.VALID).astype(np.uint8)
+    if camera.full_scale_lsb is not None:
+        why[largest >= camera.full_scale_lsb] = Why.SATURATED
+    if camera.lower_limit_lsb is not None:
+        why[(smallest <= camera.lower_limit_lsb) & (why == Why.VALID)] = Why.SATURATED
+    why[~np.isfinite(smallest + largest)] = Why.NOT_FINITE
+    return why
+
+
+def _lit(samples: Floats, why: NDArray[np.uint8], camera: CwCamera) -> NDArray[np.bool_]:
+    """Return where samples are light: not in rows of the sensor's own data, not of pixels that are no number."""
+    lit = np.broadcast_to(why != Why.NOT_FINITE, samples.shape).copy()
+    lit[:, : camera.pseudo_rows] = False
+    return lit
+
+
+def _more_noise(samples: Floats, stray: Floats, amplitude: Floats, camera: CwCamera) -> Floats | float:
+    """Return by what factor the shot noise of stray light, which is not taken out, raises the noise of a pixel."""
+    f = camera.stray_light.stray_fraction
+    if not f:
+        return 1.0
+    level = light_level(samples, amplitude, camera)
+    if camera.pixel == "single_ended":
+        more = stray.mean(axis=0)
+    else:
+        own = np.nan_to_num(amplitude)
+        more = (scatter(own, camera.stray_light) - own * np.float32(1 - f)) / np.float32(camera.demodulation_contrast)
+    before, after = (noise_of(each, camera) for each in (level, level + np.maximum(more, 0)))
+    return np.asarray(np.sqrt(after / before))
+
+
+@lru_cache(maxsize=16)
+def _without_limits(camera: CwCamera) -> CwCamera:
+    """Return the camera for samples that have been judged by its limits already."""
+    return replace(camera, full_scale_lsb=None, lower_limit_lsb=None)
+
+
+def _with(raw: RawFrame, planes: Mapping[str, Image]) -> RawFrame:
+    return RawFrame(raw.time_s, {**raw.planes, **planes}, raw.frame_id)
