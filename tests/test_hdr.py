@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 
 from rangecam import cw
 from rangecam.config import load_config
-from rangecam.errors import DataError
+from rangecam.errors import DataError, UsageError
 from rangecam.hdr import exposures, merge, ranged
 from rangecam.pipeline import RANGING, process_frame
 from rangecam.scene.view import View
@@ -82,3 +82,58 @@ def test_two_exposures_see_the_bright_and_the_dark_half_of_a_scene_and_go_throug
     depth_m = np.sort(frame.segments.position_m[np.argsort(frame.segments.n_pixels)[-2:], 0])
     assert depth_m[0] < 0.55
     assert 1.3 < depth_m[1] < 2.05  # a sphere about the camera, as the field of view shows it
+
+
+def test_planes_of_a_calibration_go_with_every_exposure():
+    parts = exposures(
+        RawFrame(0.0, {"exposure_100us_phase_0": np.ones((1, 1)), "exposure_2000us_phase_0": np.ones((1, 1)) * 2,
+                       "range_offset_m": np.full((1, 1), 0.5)})
+    )  # fmt: skip
+    assert [set(part.planes) for part in parts.values()] == [{"phase_0", "range_offset_m"}] * 2
+
+
+def test_the_simulated_camera_exposes_all_phases_at_each_illumination_time_one_after_the_other():
+    camera = replace(load_config("scaled_car").camera, illumination_times_s=(1e-4, 2e-3), frame_rate_hz=10.0, rows=4,
+                     columns=6, read_noise_lsb=0.0, shot_noise_lsb2_per_lsb=0.0)  # fmt: skip
+    looked_at = []
+
+    def view(at_s):
+        looked_at.append(at_s)
+        return View(np.full((1, 4, 6), 1.0), np.full((1, 4, 6), 0.5), np.ones((1, 4, 6)))
+
+    raw = cw.simulate(view, camera, 5.0, np.random.default_rng(0))
+    assert list(raw.planes)[:2] == ["exposure_100us_phase_0", "exposure_100us_phase_90"]
+    assert len(raw.planes) == 8
+    steps = np.diff(looked_at)
+    np.testing.assert_allclose(steps[:3], 1e-4 + camera.readout_time_s, rtol=1e-6)
+    np.testing.assert_allclose(steps[4:], 2e-3 + camera.readout_time_s, rtol=1e-6)
+    np.testing.assert_allclose(steps[3], (1e-4 + 2e-3) / 2 + camera.readout_time_s, rtol=1e-6)
+    begin = looked_at[0] - (1e-4 + camera.readout_time_s) / 2
+    end = looked_at[-1] + (2e-3 + camera.readout_time_s) / 2
+    assert (begin + end) / 2 == pytest.approx(5.0, abs=1e-9)
+    weak, strong = (part.planes["phase_0"][2, 3] - 2048.0 for part in exposures(raw).values())
+    assert strong == pytest.approx(20 * weak, abs=12)
+
+
+@pytest.mark.parametrize("times_s", [(1e-3, 1.0001e-3), (1e-7, 1e-3)])
+def test_illumination_times_that_make_the_same_planes_are_refused(times_s):
+    camera = replace(load_config("scaled_car").camera, illumination_times_s=times_s)
+    with pytest.raises(UsageError, match="different whole numbers of microseconds"):
+        cw.simulate(lambda _: None, camera, 0.0, np.random.default_rng(0))
+
+
+def test_a_frame_rate_that_two_exposures_do_not_leave_is_refused():
+    camera = replace(load_config("scaled_car").camera, illumination_times_s=(1e-3, 4e-3))
+    with pytest.raises(UsageError, match=r"8 exposures and read-outs leave no more than 33.51 Hz"):
+        cw.simulate(lambda _: None, replace(camera, frame_rate_hz=40.0), 0.0, np.random.default_rng(0))
+
+
+def test_a_recorded_scenario_of_two_exposures_is_replayed_as_it_was(tmp_path):
+    from rangecam.cli import main
+
+    sets = [f"--set=camera.{each}" for each in ("illumination_times_s=[1e-4,2e-3]", "rows=12", "columns=16")]
+    out = tmp_path / "two.mcap"
+    assert main(["simulate", "approach-box", "-o", str(out), *sets, "--set=camera.frame_rate_hz=5.0"]) == 0
+    assert main(["run", str(out), "--images", str(tmp_path / "two.npz")]) == 0
+    with np.load(tmp_path / "two.npz") as images:
+        assert images["valid"].mean() > 0.02

@@ -21,7 +21,7 @@ _AGREE = 3.0
 def ranged(method: Callable[..., RangeImage], raw: RawFrame, camera: Any) -> RangeImage:
     """Return the range image of a raw frame, merged from all its exposures if it has several.
 
-    Raises DataError if only some of the planes belong to an exposure, or what `method` raises.
+    Raises DataError as `exposures` does, or what `method` raises.
     """
     if not next(iter(raw.planes)).startswith("exposure_"):
         return method(raw, camera)
@@ -29,18 +29,33 @@ def ranged(method: Callable[..., RangeImage], raw: RawFrame, camera: Any) -> Ran
     return merge([method(part, camera) for part in parts.values()], list(parts))
 
 
+def exposure_plane(time_s: float, plane: str) -> str:
+    """Return the name of a plane of one of several exposures."""
+    return f"exposure_{round(time_s * 1e6)}us_{plane}"
+
+
 def exposures(raw: RawFrame) -> Mapping[float, RawFrame]:
-    """Return a raw frame for each exposure (s), the shortest first; raises DataError for a plane that names none."""
+    """Return a raw frame for each exposure (s), the shortest first.
+
+    Planes that no exposure has of its own, such as those of a calibration, go with all of them. Raises DataError for a
+    plane that some exposures have and that names none.
+    """
     planes: dict[float, dict[str, Image]] = {}
+    shared: dict[str, Image] = {}
     for name, plane in raw.planes.items():
         found = _EXPOSURE.fullmatch(name)
         if found is None or int(found[1]) == 0:
+            shared[name] = plane
+        else:
+            planes.setdefault(int(found[1]) * 1e-6, {})[found[2]] = plane
+    own = {name for each in planes.values() for name in each}
+    for name in shared:
+        if name in own or name.startswith("exposure_"):
             raise DataError(
                 f"plane '{name}' belongs to no exposure, but others do: expected exposure_<microseconds>us_<plane>, "
                 "such as exposure_2000us_phase_0"
             )
-        planes.setdefault(int(found[1]) * 1e-6, {})[found[2]] = plane
-    return {time_s: RawFrame(raw.time_s, planes[time_s], raw.frame_id) for time_s in sorted(planes)}
+    return {time_s: RawFrame(raw.time_s, {**planes[time_s], **shared}, raw.frame_id) for time_s in sorted(planes)}
 
 
 def merge(images: Sequence[RangeImage], exposures_s: Sequence[float]) -> RangeImage:

@@ -8,10 +8,19 @@ from rangecam.cw.light import collect
 from rangecam.cw.link import transfer
 from rangecam.cw.pixel import respond, temperature_c
 from rangecam.cw.scattering import scatter
-from rangecam.cw.sequence import Exposure, exposure_times_s, exposures, fastest_frame_rate_hz, plane_names
+from rangecam.cw.sequence import (
+    Exposure,
+    exposure_times_s,
+    exposures,
+    fastest_frame_rate_hz,
+    plane_names,
+    sequence_times_s,
+    single_exposures,
+)
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import sample_variance
 from rangecam.errors import UsageError
+from rangecam.hdr import exposure_plane
 from rangecam.scene.view import View
 from rangecam.types import Floats, Image, RawFrame
 
@@ -20,7 +29,8 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     """Return the raw frame of the scene `view(time)` whose exposure sequence has its middle at `time_s`.
 
     Each phase image is exposed at its own time (Steinbäck 2016, fig 4.7), so that moving edges show motion artefacts;
-    with several `exposure_samples` what moves within one exposure is blurred. Noise is Gaussian with `sample_variance`;
+    with several `exposure_samples` what moves within one exposure is blurred. With several `illumination_times_s` the
+    planes are named as `hdr` says. Noise is Gaussian with `sample_variance`;
     then rounding and limits of the converter, and the way over the interface. The planes are uint16 where the
     converter's limits and step allow, else float32. Noise is drawn first and is the same whatever imperfection is on.
     Plane temperature_c, degrees Celsius, is there if the camera measures it.
@@ -29,10 +39,13 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     """
     fastest_hz = fastest_frame_rate_hz(camera)
     if camera.frame_rate_hz > fastest_hz:
+        count = len(exposures(camera)) * max(1, len(camera.illumination_times_s))
         raise UsageError(
-            f"camera.frame_rate_hz = {camera.frame_rate_hz:g}: {len(exposures(camera))} exposures and read-outs leave "
-            f"no more than {fastest_hz:.4g} Hz; shorten illumination_time_s"
+            f"camera.frame_rate_hz = {camera.frame_rate_hz:g}: {count} exposures and read-outs leave no more than "
+            f"{fastest_hz:.4g} Hz; shorten illumination_time_s"
         )
+    if camera.illumination_times_s:
+        return _of_several_exposures(view, camera, time_s, rng)
     planes: dict[str, Image] = {}
     seen = _seen_at(view, time_s) if camera.freeze_motion else view
     for exposure, middle_s in zip(exposures(camera), exposure_times_s(camera, time_s), strict=True):
@@ -43,6 +56,19 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     if camera.temperature.measured:
         first = next(iter(planes.values()))
         planes["temperature_c"] = np.full(first.shape, temperature_c(camera, time_s), np.float32)
+    return RawFrame(time_s, planes)
+
+
+def _of_several_exposures(
+    view: Callable[[float], View], camera: CwCamera, time_s: float, rng: np.random.Generator
+) -> RawFrame:
+    """Return the frame of all `illumination_times_s`, one sequence after the other, as `hdr` takes it."""
+    if camera.freeze_motion:
+        view = _seen_at(view, time_s)
+    planes: dict[str, Image] = {}
+    for single, middle_s in zip(single_exposures(camera), sequence_times_s(camera, time_s), strict=True):
+        part = simulate(view, single, middle_s, rng)
+        planes |= {exposure_plane(single.illumination_time_s, name): plane for name, plane in part.planes.items()}
     return RawFrame(time_s, planes)
 
 

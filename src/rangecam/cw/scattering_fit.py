@@ -37,7 +37,7 @@ def fit_scattering(frames: Iterable[RawFrame], camera: CwCamera, without: Iterab
         phasor = phasor - _mean_phasor(others, camera, "the scene without the target")
     amplitude = np.abs(phasor)
     target = amplitude >= _BRIGHT * amplitude.max(initial=0.0)
-    beside = ~binary_dilation(target, np.ones((3, 3)), iterations=_RIM_PIXELS)
+    beside = ~binary_dilation(target, np.ones((3, 3), bool), iterations=_RIM_PIXELS)
     beside[: camera.pseudo_rows] = False
     if not amplitude.max(initial=0.0) > 0 or beside.mean() < 0.5:
         raise DataError(
@@ -50,7 +50,9 @@ def fit_scattering(frames: Iterable[RawFrame], camera: CwCamera, without: Iterab
         rest = ((phasor - stray_light(phasor, Scattering(stray_fraction=x[0], width=x[1]))) * scale)[beside]
         return np.concatenate([rest.real, rest.imag])
 
-    found = least_squares(left, _START, bounds=([0.0, _NARROWEST], [0.5, _WIDEST]), x_scale=_START, diff_step=1e-3)
+    found = least_squares(
+        left, _START, bounds=([0.0, _NARROWEST], [0.5, _WIDEST]), x_scale=_START, diff_step=np.full(2, 1e-3)
+    )
     return Scattering(stray_fraction=float(found.x[0]), width=float(found.x[1]))
 
 

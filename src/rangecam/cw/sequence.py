@@ -67,8 +67,37 @@ def exposure_times_s(camera: CwCamera, time_s: float) -> list[float]:
     return [time_s + (k - (count - 1) / 2) * period_s for k in range(count)]
 
 
+@lru_cache(maxsize=64)
+def single_exposures(camera: CwCamera) -> tuple[CwCamera, ...]:
+    """Return the camera with each of its illumination times, as a camera with that `illumination_time_s` alone.
+
+    Raises UsageError if two times are the same number of whole microseconds, or one is none.
+    """
+    times_s = camera.illumination_times_s
+    if not times_s:
+        return (camera,)
+    if len({round(each * 1e6) for each in times_s} - {0}) < len(times_s):
+        raise UsageError(
+            f"camera.illumination_times_s = {_listed(times_s)}: expected different whole numbers of microseconds, "
+            "such as [1e-4, 2e-3]"
+        )
+    return tuple(replace(camera, illumination_time_s=each, illumination_times_s=()) for each in times_s)
+
+
+def sequence_times_s(camera: CwCamera, time_s: float) -> list[float]:
+    """Return the middle of the sequence of each illumination time; together they are centred on `time_s`."""
+    durations_s = [1 / fastest_frame_rate_hz(each) for each in single_exposures(camera)]
+    start_s, middles_s = time_s - sum(durations_s) / 2, []
+    for duration_s in durations_s:
+        middles_s.append(start_s + duration_s / 2)
+        start_s += duration_s
+    return middles_s
+
+
 def fastest_frame_rate_hz(camera: CwCamera) -> float:
     """Return the rate at which frames follow each other without a pause (Steinbäck 2016, fig 4.7; N-S-019)."""
+    if camera.illumination_times_s:
+        return 1 / sum(1 / fastest_frame_rate_hz(each) for each in single_exposures(camera))
     return 1 / (len(exposures(camera)) * (camera.illumination_time_s + readout_time_s(camera)))
 
 

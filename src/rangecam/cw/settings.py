@@ -130,6 +130,9 @@ class CwCamera:
 
     illumination_time_s: Positive = 2e-3
     """Exposure of one phase image (simulation); amplitudes grow with it."""
+    illumination_times_s: tuple[Positive, ...] = ()
+    """Several exposures of a frame, all phase images at the first, then at the next (simulation); whole microseconds.
+    Ranging merges them (`hdr`). None: one, of `illumination_time_s`."""
     readout_time_s: NonNegative = 1.23e-3
     """Pause after each phase image (simulation); measured, not explained by the pixel clock (E-S-14)."""
     capture_order: tuple[PhaseStep, ...] = ()
