@@ -106,8 +106,16 @@ def test_the_time_of_a_single_frame_may_be_a_single_number(tmp_path: Path) -> No
 
 
 def test_keys_that_are_not_used_are_named(tmp_path: Path) -> None:
-    (note,) = open_source(save(tmp_path / "a.npz", phases(camera_range_m=np.zeros(3), **{"vicon": 1}))).notes
-    assert "camera_range_m, vicon" in note
+    (note,) = open_source(save(tmp_path / "a.npz", phases(camera_amplitude=np.zeros(3), **{"vicon": 1}))).notes
+    assert "camera_amplitude, vicon" in note
+
+
+@pytest.mark.parametrize("key", ["camera_range_m", "reference_range_m"])
+def test_ranges_by_the_camera_itself_or_another_instrument_stand_beside_the_samples(tmp_path: Path, key: str) -> None:
+    images = phases()
+    known_m = np.arange(images["phase_0"].size).reshape(images["phase_0"].shape) / 8
+    (capture,) = open_source(save(tmp_path / "a.npz", {**images, key: known_m})).captures
+    np.testing.assert_array_equal(capture.raw.planes["reference_range_m"], known_m)
 
 
 def test_of_many_unused_keys_a_few_are_named(tmp_path: Path) -> None:

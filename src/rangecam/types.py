@@ -77,6 +77,8 @@ class RawFrame:
                           shutter_a1, shutter_a2 or shutter_b1, shutter_b2; (D)CSI shutter_a_0.. (shutter_b_0..), one
                           for each laser delay; with a calibration offset_a.. (V), range_slope, range_intercept_m
         pulsed taps       tap_1..3, dark_1..3, tap_std_1..3
+        beside them       reference_range_m (range by another instrument, for calibration; 0: none), temperature_c (of
+                          the camera); with a calibration range_offset_m
         processed         range_m or depth_m, amplitude, noise_m (one sigma), status, confidence
     time_s: middle of the exposure on the camera's own clock.
     """

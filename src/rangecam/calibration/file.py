@@ -139,8 +139,9 @@ def _checked(path: Path, texts: Mapping[str, Any], arrays: Mapping[str, Any]) ->
 
 def check_made_for(path: Path | str, calibration: Calibration, made_for: Mapping[str, Any]) -> None:
     """Raise UsageError that names the first fact of camera or method for which a calibration was not made."""
-    for name, value in json.loads(json.dumps(dict(made_for))).items():
-        found = calibration.made_for.get(name)
+    facts, those = (json.loads(json.dumps(dict(each))) for each in (made_for, calibration.made_for))
+    for name, value in facts.items():
+        found = those.get(name)
         if found != value:
             raise UsageError(
                 f"{path}: a calibration for {name} = {found}, but here {name} = {value}; "

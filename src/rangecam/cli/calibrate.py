@@ -1,9 +1,10 @@
 """`rangecam calibrate`: from recordings of darkness and plane targets to a calibration file."""
 
 import json as json_format
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -101,24 +102,81 @@ def noise(
             print(f"figure      {figure}")
 
 
+@calibrate.command
+def wiggling(
+    *recordings: str,
+    output: Output,
+    from_: From = None,
+    model: Annotated[
+        Literal["table", "harmonics"], Parameter(help="Values over the phase with a spline between, or its harmonics.")
+    ] = "table",
+    size: Annotated[
+        int | None, Parameter(show_default=False, help="Values of the table (64), or harmonics (4).")
+    ] = None,
+    partial: Annotated[
+        bool,
+        Parameter(negative=(), show_default=False, help="Take what a scene shows although it has not all ranges."),
+    ] = False,
+    preset: Preset = None,
+    config: ConfigFile = None,
+    set_: Set = [],  # noqa: B006 (as above)
+    json: Json = False,
+) -> None:
+    """Take the error over the phase from DISTANCE=RECORDING of planes, or RECORDING with a reference range."""
+    opened = _open(recordings, from_, (preset, config, set_), numbered=None)
+    _finish("wiggling", opened, from_, output, json, {"model": model, "size": size, "partial": partial})
+
+
+@calibrate.command
+def pattern(
+    *recordings: str,
+    output: Output,
+    from_: From = None,
+    preset: Preset = None,
+    config: ConfigFile = None,
+    set_: Set = [],  # noqa: B006 (as above)
+    json: Json = False,
+) -> None:
+    """Take the offset of every pixel from DISTANCE=RECORDING of planes, or RECORDING of planes anywhere."""
+    opened = _open(recordings, from_, (preset, config, set_), numbered=None)
+    _finish("pattern", opened, from_, output, json, {})
+
+
+@calibrate.command
+def temperature(
+    *recordings: str,
+    output: Output,
+    from_: From = None,
+    preset: Preset = None,
+    config: ConfigFile = None,
+    set_: Set = [],  # noqa: B006 (as above)
+    json: Json = False,
+) -> None:
+    """Take the drift of the range from TEMPERATURE=RECORDING of a scene at rest, degrees Celsius."""
+    opened = _open(recordings, from_, (preset, config, set_), numbered=None)
+    _finish("temperature", opened, from_, output, json, {})
+
+
 def _open(
     recordings: Sequence[str],
     start: Path | None,
     settings: tuple[str | None, Path | None, Sequence[str]],
-    numbered: bool,
+    numbered: bool | None,
 ) -> "list[Recording]":
-    """Open recordings without the calibration that they may hold; numbered: each is NUMBER=RECORDING."""
+    """Open recordings without the calibration that they may hold; numbered: each is NUMBER=RECORDING, None: may be."""
     from rangecam.calibration import Recording
     from rangecam.config import FAMILIES, merge, overrides, read_toml
     from rangecam.io import open_source
 
     if not recordings:
-        raise UsageError("calibrate needs a recording" + (": NUMBER=RECORDING, for example 5=wall-5.mcap" * numbered))
+        raise UsageError(
+            "calibrate needs a recording" + (": NUMBER=RECORDING, for example 5=wall-5.mcap" * (numbered is not False))
+        )
     preset, config, assignments = settings
     wanted = merge(*([read_toml(config)] if config else []), overrides(assignments))
     opened = []
     for text in recordings:
-        number, name = _numbered(text) if numbered else (None, text)
+        number, name = _numbered(text) if numbered or (numbered is None and _NUMBER.match(text)) else (None, text)
         kind = open_source(name, preset=preset, layers=[wanted]).config.camera.kind
         family: Any = FAMILIES[kind]
         if not hasattr(family, "CALIBRATE"):
@@ -128,6 +186,9 @@ def _open(
         frames = (capture.raw for capture in source.captures)
         opened.append(Recording(name, frames, source.config.camera, method, family.RANGING[method], number))
     return opened
+
+
+_NUMBER = re.compile(r"[-+.\d]+(e[-+]?\d+)?=")
 
 
 def _numbered(text: str) -> tuple[float, str]:
@@ -183,15 +244,14 @@ def _noise_figure(result: "Calibration") -> bytes:
 
     fit = result.taken["noise"]
     x = np.array(fit["x"])
-    before = fit["before"]
-    old = before.get("sensor_noise_v", before.get("shot_noise_counts2_per_count", 0.0) ** 0.5) ** 2 * x
-    old = old + before.get("readout_noise_v", before.get("read_noise_counts", 0.0)) ** 2
+    old = fit["line_before"][0] + fit["line_before"][1] * x
     label = "\n".join(f"{name} = {value:.4g}" for name, value in fit["found"].items())
     series = [
         Series("recorded", x, fit["variance"], fit["error"]),
         Series(label, x, fit["base"] + fit["slope"] * x),
         Series("settings before", x, old, line="--"),
     ]
-    over = "accumulations" if "n_acc" in fit["unit"] else "light, counts"
+    unit = fit["unit"].partition(" over ")[2]
+    over = "accumulations" if unit == "n_acc" else f"light, {unit}"
     panel = Panel("Variance of a value over time", over, fit["unit"].partition(" ")[0], series)
     return draw(Study("calibrate noise", "variance over signal", [], [panel]))

@@ -72,7 +72,15 @@ _PHASES = ("phase_0", "phase_90", "phase_180", "phase_270")
 _BESIDE = _same("amplitude", "noise_m", "status", "targets", "confidence")
 
 FORMATS = (
-    Format("raw continuous-wave samples", "cw", "generic_cw", _same(*_PHASES), asks=("modulation_hz",), raw=True),
+    Format(
+        "raw continuous-wave samples",
+        "cw",
+        "generic_cw",
+        _same(*_PHASES),
+        {"camera_range_m": "reference_range_m", **_same("reference_range_m")},
+        asks=("modulation_hz",),
+        raw=True,
+    ),
     Format("raw three-tap samples", "pulsed", "generic_pulsed", _same(*_TAPS[:3]), _same(*_TAPS[3:]), raw=True),
     Format(
         "raw shutter samples",

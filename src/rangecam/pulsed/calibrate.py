@@ -116,8 +116,16 @@ def noise(recordings: Sequence[Recording], start: Calibration) -> Calibration:
         "unit": "V2 over n_acc" if section == "pixel" else "counts2 over counts",
         "found": found,
         "before": before,
+        "line_before": _line_before(before),
     }
     return replace(start, settings=settings, taken={**_taken(start, camera), "noise": about})
+
+
+def _line_before(before: dict[str, float]) -> list[float]:
+    """Return base and slope of the line of the settings before."""
+    if "sensor_noise_v" in before:
+        return [before["readout_noise_v"] ** 2, before["sensor_noise_v"] ** 2]
+    return [before["read_noise_counts"] ** 2, before["shot_noise_counts2_per_count"]]
 
 
 def _dark_noise(recordings: Sequence[Recording], camera: PulsedCamera) -> tuple[NoiseFit, str, dict[str, float]]:
