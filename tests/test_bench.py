@@ -7,15 +7,25 @@ import numpy as np
 import pytest
 
 import rangecam.bench.works as works
-from rangecam.bench import measure, peers, table
+from rangecam.bench import measure, peers, table, unwrapping_peer
 from rangecam.bench.race import Row, race
 from rangecam.cli import main
+from rangecam.config import load_config
+from rangecam.cw import simulate
 from rangecam.pipeline import RANGING, call, process_frame
+from rangecam.scene.view import View
 from rangecam.types import Tracks
 
 ROWS = {
     *("cw_range_160x120", "cw_chain_160x120", "cw_range_640x480", "cw_chain_640x480", "pulsed_chain_64x8"),
-    *("tracker_20_ca", "region_growing_160x120", "simulate_cw_160x120", "simulate_pulsed_64x8"),
+    *("kinect2_decode_512x424", "tracker_20_ca", "region_growing_160x120"),
+    *("simulate_cw_160x120", "simulate_pulsed_64x8"),
+        "kinect2_decode_512x424",
+        "tracker_20_ca",
+        "region_growing_160x120",
+        "simulate_cw_160x120",
+        "simulate_pulsed_64x8",
+    ),
 }
 
 
@@ -71,6 +81,20 @@ def test_the_opencv_composition_finds_the_same_cleaned_range() -> None:
     assert np.median(np.abs(range_m - ours.range_m)[both]) < 0.02
     np.testing.assert_array_equal(why == 0, mask > 0)
     assert np.mean(why == ours.why) > 0.9  # the reasons, too, but for the pixels at edges
+
+
+def test_the_opencv_composition_of_three_frequencies_finds_the_same_ranges() -> None:
+    config = load_config("kinect2_like", {"camera": {"rows": 40, "columns": 60}})
+    range_m = np.where(np.arange(60) < 30, 1.5, 4.0) + np.zeros((1, 40, 1))
+    view = View(range_m, np.full(range_m.shape, 0.5), np.ones(range_m.shape))
+    raw = simulate(lambda _: view, config.camera, 0.0, np.random.default_rng(1))
+    theirs = unwrapping_peer.opencv_multi_frequency(config)(raw.planes)
+    ours = RANGING["cw_multi_frequency"](raw, config.camera)
+    both = ours.valid & np.isfinite(theirs)
+    assert both.mean() > 0.9
+    assert np.abs(theirs - ours.range_m)[both].max() < 0.05
+    unfiltered = load_config("kinect2_like", {"camera": {"phasor_filter": "off", "rows": 40, "columns": 60}})
+    assert np.isfinite(unwrapping_peer.opencv_multi_frequency(unfiltered)(raw.planes)).mean() > 0.8
 
 
 def test_the_opencv_chains_find_the_same_nearest_object() -> None:

@@ -2,6 +2,7 @@
 
 - race: how two functions are timed against each other
 - peers: the same steps written with OpenCV, NumPy and FilterPy
+- unwrapping_peer: the same for several modulation frequencies
 - works: what is measured
 """
 

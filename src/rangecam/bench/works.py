@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rangecam import cw, pulsed
-from rangecam.bench import peers
+from rangecam.bench import peers, unwrapping_peer
 from rangecam.bench.race import Row, race
 from rangecam.clean import clean
 from rangecam.config import Config, load_config
@@ -37,7 +37,9 @@ class Moment:
 def measure(seconds: float) -> dict[str, Any]:
     """Time everything, about `seconds` a row, and return JSON values: rows and the machine."""
     rows = [
-        row for family in (_continuous_wave, _pulsed, _tracker, _segmentation, _simulation) for row in family(seconds)
+        row
+        for family in (_continuous_wave, _three_frequencies, _pulsed, _tracker, _segmentation, _simulation)
+        for row in family(seconds)
     ]
     return {
         "rows": [
@@ -131,6 +133,24 @@ def _continuous_wave(seconds: float) -> Iterator[Row]:
         for work, ours, make in works:
             name, theirs = _peer("cv2", "OpenCV", make, config)
             yield race(f"{work}_{width}x{height}", ours, name, _given(theirs, planes), seconds)
+
+
+def _three_frequencies(seconds: float) -> Iterator[Row]:
+    """Yield the row of a camera with three modulation frequencies: a slanted wall behind boxes, no pixels mixed."""
+    config = load_config("kinect2_like")
+    camera = config.camera
+    assert camera.kind == "cw"
+    column, row = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
+    range_m = 3.0 + 1.5 * column / camera.columns
+    for number in range(4):
+        range_m[(np.abs(column - 80 - 120 * number) < 40) & (np.abs(row - 210) < 60 + 30 * number)] = 1.2 + 0.5 * number
+    view = View(range_m[None], np.full((1, *row.shape), 0.5), np.ones((1, *row.shape)))
+    raw = cw.simulate(partial(_same_view, view), camera, 0.0, np.random.default_rng(1))
+    moment = Moment(config, Capture(raw), Tracks.empty())
+    name, theirs = _peer("cv2", "OpenCV and NumPy", unwrapping_peer.opencv_multi_frequency, config)
+    ranging = partial(RANGING[config.ranging], raw, camera)
+    yield race("kinect2_like: ranging", ranging, "", None, seconds / 4)
+    yield race("kinect2_decode_512x424", partial(_cleaned_range, moment), name, _given(theirs, raw.planes), seconds)
 
 
 def _pulsed(seconds: float) -> Iterator[Row]:

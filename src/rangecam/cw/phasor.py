@@ -220,11 +220,15 @@ def average(rows: Any, inside: int, ring: Any, rule: Any, scratch: Any, mean: An
     distance, take, count, strewn = scratch[0], scratch[1], scratch[2], scratch[3]
     centre, inner = rows[reach], slice(reach, reach + width)
     here = (spread[centre, 0, inner], spread[centre, 1, inner])
-    mean[:] = _ZERO
-    scratch[2:4] = _ZERO
+    for k in range(2 * n_frequencies):
+        mean[k, :] = phasors[centre, k, inner]
+    count[:] = _ONE
+    strewn[:] = spread[centre, 2, inner]
     for j in range(len(rows)):
         row = rows[j]
         for dx in range(2 * reach + 1):
+            if j == reach and dx == reach:
+                continue
             beside = slice(dx, dx + width)
             distance[:] = _ZERO
             for k in range(0, 2 * n_frequencies, 2):

@@ -1,6 +1,7 @@
 """Several modulation frequencies: how far they reach, how often unwrapping fails, and what the phasor filter saves."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from rangecam.types import Floats, Image, RawFrame
 ROWS, COLUMNS = 424, 512
 GROSS_M = 0.3
 _NOISES_LSB = (2.0, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0)
+_FILTERS: tuple[Literal["off", "3x3", "5x5"], ...] = ("off", "3x3", "5x5")
 _RAYS = 3
 _LENS = Lens(horizontal_fov_deg=70.0, vertical_fov_deg=60.0)
 _CAMERA = CwCamera(
@@ -63,10 +65,12 @@ def unwrapping(rng: np.random.Generator) -> Study:
     for name, camera in CAMERAS.items():
         view, edges = _scene(camera)
         curves = {
-            label: [_outcome(replace(camera, phasor_filter=filter_), view, edges, noise, rng) for noise in _NOISES_LSB]
-            for label, filter_ in (("no filter", "off"), ("3x3", "3x3"), ("5x5", "5x5"))
+            filter_: [
+                _outcome(replace(camera, phasor_filter=filter_), view, edges, noise, rng) for noise in _NOISES_LSB
+            ]
+            for filter_ in _FILTERS
         }
-        claims += _at_a_tenth(name, camera, view, edges, curves["no filter"], rng)
+        claims += _at_a_tenth(name, camera, view, edges, curves["off"], rng)
         panels += [_over_noise(name, curves), _panel(name, curves)]
     chances, theory_panel = _theory(rng)
     return Study("cw-unwrapping", "Steinbäck 2016, 2.2.2, and beyond it", [*claims, *chances], [*panels, theory_panel])
@@ -87,7 +91,7 @@ def _scene(camera: CwCamera) -> tuple[View, Image]:
     for k, (x, y, radius, distance_m, share) in enumerate([(0.5, 0.25, 0.12, 1.5, 0.3), (0.8, 0.8, 0.1, 3.5, 0.6)], 4):
         inside = (u - x) ** 2 + (v - y) ** 2 < radius**2
         range_m[inside], reflectivity[inside], surface[inside] = distance_m, share, k
-    parts = [_rays_of(each) for each in (range_m, reflectivity, surface)]
+    parts = [_rays_of(each.astype(np.float32)) for each in (range_m, reflectivity, surface)]
     edges: Image = parts[2].min(axis=0) != parts[2].max(axis=0)
     return View(parts[0], parts[1], np.ones_like(parts[0])), edges
 
@@ -95,7 +99,7 @@ def _scene(camera: CwCamera) -> tuple[View, Image]:
 def _rays_of(fine: Floats) -> Floats:
     """Return an image of rays as (K, H, W): those of each pixel."""
     blocks = fine.reshape(ROWS, _RAYS, COLUMNS, _RAYS).transpose(1, 3, 0, 2)
-    rays: Floats = blocks.reshape(_RAYS * _RAYS, ROWS, COLUMNS).astype(np.float32)
+    rays: Floats = blocks.reshape(_RAYS * _RAYS, ROWS, COLUMNS)
     return rays
 
 
@@ -133,7 +137,7 @@ def _at_a_tenth(
     failed = [outcome.gross + outcome.rejected for outcome in bare]
     noise_lsb = float(np.interp(0.1, failed, _NOISES_LSB))
     without, with_it = (
-        _outcome(replace(camera, phasor_filter=filter_), view, edges, noise_lsb, rng) for filter_ in ("off", "3x3")
+        _outcome(replace(camera, phasor_filter=filter_), view, edges, noise_lsb, rng) for filter_ in _FILTERS[:2]
     )
     beyond = "beyond the thesis; 3x3 joint bilateral filter of the phasors; gross: more than 300 mm, away from edges"
     return [
@@ -162,7 +166,7 @@ def _wanted(text: str, computed: float, most: float, why: str) -> Claim:
 
 def _over_noise(name: str, curves: dict[str, list[Outcome]]) -> Panel:
     series = [
-        Series(label, _NOISES_LSB, [100 * outcome.rejected for outcome in outcomes], line="o-")
+        Series(f"filter {label}", _NOISES_LSB, [100 * outcome.rejected for outcome in outcomes], line="o-")
         for label, outcomes in curves.items()
     ]
     return Panel(f"{name}: what is given up", "raw noise (LSB)", "rejected (%)", series)
@@ -173,7 +177,7 @@ def _panel(name: str, curves: dict[str, list[Outcome]]) -> Panel:
     floor = 100 / (ROWS * COLUMNS)
     series = [
         Series(
-            label,
+            f"filter {label}",
             [100 * outcome.rejected for outcome in outcomes],
             [max(100 * outcome.gross, floor / 2) for outcome in outcomes],
             line="o-",
