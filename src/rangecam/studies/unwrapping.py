@@ -1,7 +1,8 @@
 """Several modulation frequencies: how far they reach, how often unwrapping fails, and what the phasor filter saves."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -164,7 +165,7 @@ def _wanted(text: str, computed: float, most: float, why: str) -> Claim:
     return judged("S-EFF-08", text, None, computed, "%", computed < most, f"wanted: under {most:g} %; {why}")
 
 
-def _over_noise(name: str, curves: dict[str, list[Outcome]]) -> Panel:
+def _over_noise(name: str, curves: Mapping[Any, list[Outcome]]) -> Panel:
     series = [
         Series(f"filter {label}", _NOISES_LSB, [100 * outcome.rejected for outcome in outcomes], line="o-")
         for label, outcomes in curves.items()
@@ -172,7 +173,7 @@ def _over_noise(name: str, curves: dict[str, list[Outcome]]) -> Panel:
     return Panel(f"{name}: what is given up", "raw noise (LSB)", "rejected (%)", series)
 
 
-def _panel(name: str, curves: dict[str, list[Outcome]]) -> Panel:
+def _panel(name: str, curves: Mapping[Any, list[Outcome]]) -> Panel:
     """Return gross errors against rejected pixels, both in per cent, along the noise."""
     floor = 100 / (ROWS * COLUMNS)
     series = [
