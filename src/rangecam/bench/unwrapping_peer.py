@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 
 from rangecam.config import Config
-from rangecam.cw.phasor import harmonic_weights
-from rangecam.cw.unwrapping import combine, order_of
 from rangecam.types import Floats, Image
 
 Planes = Mapping[str, Image]
@@ -25,11 +23,15 @@ def opencv_multi_frequency(config: Config) -> Callable[[Planes], Floats]:
     cv2.setNumThreads(1)
     camera = config.camera
     assert camera.kind == "cw"
-    together = combine(camera.modulations_hz, camera.speed_of_light_mps)
-    weights, order = harmonic_weights(camera.phase_steps_deg), order_of(together)
-    names = [[f"f{k}_phase_{step:g}" for step in camera.phase_steps_deg] for k in order]
-    ratios = [together.wraps[k] / together.wraps[order[0]] for k in order]
-    step_m = together.unambiguous_m / together.wraps[order[0]]
+    modulations = camera.modulations_hz
+    anchor = min(f for f in modulations if max(modulations) <= 2 * f)
+    ordered = sorted(modulations, key=lambda f: f != anchor)
+    steps = np.radians(camera.phase_steps_deg)
+    weights = 2 / len(steps) * np.array([np.cos(steps), -np.sin(steps)])  # the steps are equally spaced
+    names = [[f"f{modulations.index(f)}_phase_{step:g}" for step in camera.phase_steps_deg] for f in ordered]
+    ratios, step_m = [f / anchor for f in ordered], camera.speed_of_light_mps / (2 * anchor)
+    unambiguous_m = camera.speed_of_light_mps / (2 * math.gcd(*(round(f) for f in modulations)))
+    candidates = math.ceil(min(camera.unwrap_to_m or unambiguous_m, unambiguous_m) / step_m)
     sigma_lsb = math.sqrt((camera.read_noise_lsb**2 + camera.quantisation_lsb**2 / 12) * float(weights[0] @ weights[0]))
     lead = 2 * math.log(1 / camera.unwrap_error)
 
@@ -44,7 +46,7 @@ def opencv_multi_frequency(config: Config) -> Callable[[Planes], Floats]:
             noises = [cv2.divide(sigma_lsb, a) for a in sizes]
         turns = [cv2.multiply(cv2.phase(real, imaginary), 0.5 / math.pi) for real, imaginary in phasors]
         certain = [cv2.pow(cv2.divide(2 * math.pi, s), 2.0) for s in noises]
-        place, best, second = _likeliest(turns, certain, ratios, together.wraps[order[0]])
+        place, best, second = _likeliest(turns, certain, ratios, candidates)
         range_m = cv2.multiply(place, step_m)
         sound = (best < camera.unwrap_residual_sigmas**2) & (second - best > lead)
         return np.where(sound & ~_flies(cv2, range_m), range_m, np.float32(np.nan))
