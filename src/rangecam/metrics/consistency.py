@@ -26,8 +26,8 @@ def chi_square_bounds(dof: int, count: int = 1, probability: float = 0.95) -> tu
         raise UsageError(f"probability = {probability}: expected between 0 and 1, such as 0.95")
     if dof < 1 or count < 1:
         raise UsageError(f"dof = {dof}, count = {count}: expected at least 1 of each")
-    low, high = chi2.ppf([(1 - probability) / 2, (1 + probability) / 2], dof * count) / count
-    return float(low), float(high)
+    low, high = (float(chi2.ppf(tail, dof * count)) for tail in ((1 - probability) / 2, (1 + probability) / 2))
+    return low / count, high / count
 
 
 def rmse(error: Floats, axis: int | tuple[int, ...] | None = None) -> Floats:

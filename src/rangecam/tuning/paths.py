@@ -1,0 +1,130 @@
+"""What tracks took, and how likely it is to a tracker with other settings."""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rangecam.tracking import TrackingSettings, update_tracks
+from rangecam.types import POSITION, VELOCITY, Floats, Frame, Segments, Tracks, TrackStatus
+from rangecam.values import value
+
+_APART_M = 1e6  # the paths are filtered side by side, so far apart that none can be taken for another
+_ROWS, _COLUMNS = np.ix_(POSITION, POSITION)
+
+
+@value
+class Paths:
+    """What the confirmed tracks of a source took, frame by frame, and the settings that they were followed with.
+
+    frames: time_s and segments, each numbered by its path (label 1..count) and moved aside by its number times 1000 km.
+    notes: what the source has to say.
+    """
+
+    name: str
+    tracking: TrackingSettings
+    count: int
+    frames: Sequence[tuple[float, Segments]]
+    notes: tuple[str, ...] = ()
+
+
+class Likelihood(NamedTuple):
+    """Sum of the log-likelihoods of the measurements after each path's first, sum of their NIS, and their number."""
+
+    total: float
+    nis: float
+    measurements: int
+
+    def __add__(self, other: Any) -> "Likelihood":
+        return Likelihood(self.total + other.total, self.nis + other.nis, self.measurements + other.measurements)
+
+
+def follow(url: str, preset: str | None = None, layers: Sequence[Mapping[str, Any]] = (), seed: int = 0) -> Paths:
+    """Perceive a source and return the paths of its confirmed tracks; arguments and errors as of `io.open_source`."""
+    from rangecam import pipeline
+    from rangecam.io import open_source
+
+    opened = open_source(url, preset=preset, layers=layers, seed=seed)
+    frames = pipeline.run(opened.captures, opened.config)
+    return paths_of(opened.name, frames, opened.config.tracking, tuple(opened.notes))
+
+
+def paths_of(name: str, frames: Iterable[Frame], tracking: TrackingSettings, notes: tuple[str, ...] = ()) -> Paths:
+    """Return the paths of the tracks in `frames` that were ever confirmed, from their first measurement on."""
+    taken, confirmed = [], set()
+    for frame in frames:
+        tracks, segments = frame.tracks, frame.segments
+        if tracks.time_s != frame.image.time_s:
+            continue  # a late frame, which the tracker ignored
+        own = np.flatnonzero(tracks.segment > 0)
+        row = {label: j for j, label in enumerate(segments.label.tolist())}
+        taken.append((tracks.time_s, segments, tracks.track_id[own], [row[label] for label in tracks.segment[own]]))
+        confirmed |= set(tracks.track_id[tracks.status != TrackStatus.TENTATIVE].tolist())
+    number = {track_id: k + 1 for k, track_id in enumerate(sorted(confirmed))}
+    steps = []
+    for time_s, segments, ids, rows in taken:
+        kept = [(number[i], row) for i, row in zip(ids.tolist(), rows, strict=True) if i in number]
+        steps.append((time_s, _aside(segments, kept)))
+    return Paths(name, tracking, len(number), steps, notes)
+
+
+def _aside(segments: Segments, kept: list[tuple[int, int]]) -> Segments:
+    """Return rows of the segments, (number, row) each, numbered and moved aside."""
+    numbers, rows = np.array(kept, int).reshape(-1, 2).T
+    arrays = {key: array[rows] for key, array in vars(segments).items()}
+    aside = np.outer(numbers, [0.0, _APART_M, 0.0])
+    return Segments(**{**arrays, "label": numbers, "position_m": arrays["position_m"] + aside})
+
+
+def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
+    """Return how likely the measurements of the paths are to a tracker with these settings.
+
+    Each adds -(3 log 2 pi + log det S + NIS) / 2 with S the covariance of its innovation. The tracks themselves say
+    what is needed: one step without any segment is the prediction, and a track that is just born has the measurement's
+    covariance with all that the settings add to it; so the kernels need not keep det S for every frame. Of an
+    interacting model S is that of the mean. Rules of life and gates are off. The total is -inf if a measurement is more
+    than a thousand standard deviations off.
+    """
+    settings = dataclasses.replace(
+        settings,
+        gate_probability=1.0,
+        association="global",
+        confirm_hits=1,
+        max_misses=10**9,
+        max_position_sigma_m=_APART_M / 2000,
+    )
+    tracks, innovations, covariances = Tracks.empty(), [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
+    nothing, measured = _noise(paths, settings)
+    for (time_s, segments), R in zip(paths.frames, measured, strict=True):
+        predicted = update_tracks(tracks, nothing, time_s, settings)
+        tracks = update_tracks(tracks, segments, time_s, settings)
+        row = np.full(paths.count + 1, -1)
+        row[np.rint(predicted.state[:, 3] / _APART_M).astype(int)] = np.arange(len(predicted))
+        known = row[segments.label] >= 0
+        own = row[segments.label[known]]
+        if not np.array_equal(tracks.segment[own], segments.label[known]):
+            return Likelihood(-math.inf, math.inf, 1)
+        moved = settings.frame_time_sigma_s * predicted.state[own][:, VELOCITY]
+        innovations.append(segments.position_m[known] - predicted.state[own][:, POSITION])
+        covariances.append(
+            predicted.covariance[own][:, _ROWS, _COLUMNS] + R[known] + moved[:, :, None] * moved[:, None]
+        )
+    return _of_innovations(np.concatenate(innovations), np.concatenate(covariances))
+
+
+def _noise(paths: Paths, settings: TrackingSettings) -> tuple[Segments, list[Floats]]:
+    """Return no segment, and for each frame the covariances (N, 3, 3) of its measurements as the tracker takes them."""
+    every = [vars(segments) for _, segments in paths.frames]
+    joined = Segments(**{key: np.concatenate([one[key] for one in every]) for key in every[0]})
+    born = update_tracks(Tracks.empty(), joined, 0.0, settings).covariance[:, _ROWS, _COLUMNS]
+    ends = np.cumsum([len(segments) for _, segments in paths.frames])
+    nothing = Segments(**{key: array[:0] for key, array in vars(joined).items()})
+    return nothing, np.split(born, ends[:-1])
+
+
+def _of_innovations(innovation: Floats, S: Floats) -> Likelihood:
+    nis = float((innovation * np.linalg.solve(S, innovation[..., None])[..., 0]).sum())
+    log_det = float(np.linalg.slogdet(S).logabsdet.sum())
+    return Likelihood(-(3 * len(S) * math.log(2 * math.pi) + log_det + nis) / 2, nis, len(S))
