@@ -18,7 +18,7 @@ from rangecam.types import Tracks
 
 ROWS = {
     *("cw_range_160x120", "cw_chain_160x120", "cw_range_640x480", "cw_chain_640x480", "pulsed_chain_64x8"),
-    *("kinect2_decode_512x424", "tracker_20_ca", "region_growing_160x120"),
+    *("kinect2_decode_512x424", "tracker_20_ca", "tracker_20_imm", "region_growing_160x120"),
     *("simulate_cw_160x120", "simulate_pulsed_64x8"),
 }
 

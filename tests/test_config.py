@@ -120,4 +120,6 @@ def test_noise_that_segments_share_is_that_of_the_filter_unless_it_is_set():
     for changes in ({"filter": "off"}, {"filter": "mean"}, {"filter": "median", "temporal_frames": 4.0}):
         said = load_config("scaled_car", {"clean": changes}).segments.shared_noise_pixels
         assert said == shared_noise_pixels(CleanSettings(**changes))
+    smoothed = load_config("scaled_car", {"clean": {"filter": "off"}, "camera": {"phasor_filter": "5x5"}})
+    assert smoothed.segments.shared_noise_pixels == 25.0
     assert load_config("scaled_car", {"segments": {"shared_noise_pixels": 3.0}}).segments.shared_noise_pixels == 3.0

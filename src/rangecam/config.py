@@ -73,8 +73,8 @@ class Config:
 def load_config(preset: str | None = None, *layers: Tree) -> Config:
     """Return the configuration of a preset (default: scaled_car) with `layers` of settings over it, the last winning.
 
-    `decision.pixel_pitch_deg` is that of the camera, `segments.shared_noise_pixels` that of the filter of `clean`,
-    unless a layer sets them.
+    `decision.pixel_pitch_deg` is that of the camera, `segments.shared_noise_pixels` that of the filters of
+    ranging and `clean`, unless a layer sets them.
     Raises UsageError for an unknown preset, an unknown setting or an impossible value, naming it and what is allowed.
     """
     values = merge(preset_tree(preset or "scaled_car"), *layers)
@@ -85,6 +85,8 @@ def load_config(preset: str | None = None, *layers: Tree) -> Config:
         config = replace(config, decision=replace(config.decision, pixel_pitch_deg=_pitch_deg(config.camera)))
     if "shared_noise_pixels" not in values.get("segments", {}):
         shared = shared_noise_pixels(config.clean)
+        if config.camera.kind == "cw":
+            shared *= cw.shared_noise_pixels(config.camera)
         config = replace(config, segments=replace(config.segments, shared_noise_pixels=shared))
     _check_choice("ranging", config.ranging, sorted(FAMILIES[config.camera.kind].RANGING))
     _check_choice("segmentation", config.segmentation, sorted(SEGMENTATION))

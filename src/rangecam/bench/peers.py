@@ -15,6 +15,7 @@ import numpy as np
 
 from rangecam.config import Config
 from rangecam.geometry import position, rays, rotation
+from rangecam.motion import MOTION, MotionSettings, mode_switching
 from rangecam.types import Floats, Image, Segments, Why
 
 Planes = Mapping[str, Image]
@@ -159,25 +160,29 @@ def _flood_filled(config: Config) -> Callable[[Floats, Image], Image]:
     return grow
 
 
-def filterpy_tracker(segments: Segments, dt_s: float) -> Callable[[], float]:
-    """Return a step of as many nine-state Kalman filters as there are segments: predict, gate, assign, update."""
-    track = _Tracker(dt_s)
+def filterpy_tracker(segments: Segments, dt_s: float, motion: MotionSettings) -> Callable[[], float]:
+    """Return a step of as many nine-state filters as there are segments: predict, gate, assign, update.
+
+    Kalman filters, or interacting multiple models where `motion` has modes.
+    """
+    track = _Tracker(dt_s, motion)
     found = [(s.position_m, s.covariance_m2) for s in segments]
     track(found)
     return partial(track, found)
 
 
 class _Tracker:
-    """Nine-state Kalman filters of FilterPy, SciPy's assignment, and the free way to the nearest object."""
+    """Nine-state filters of FilterPy, SciPy's assignment, and the free way to the nearest object."""
 
-    def __init__(self, dt_s: float) -> None:
-        from filterpy.kalman import KalmanFilter
+    def __init__(self, dt_s: float, motion: MotionSettings) -> None:
+        from filterpy.kalman import IMMEstimator, KalmanFilter
         from scipy.optimize import linear_sum_assignment
 
-        self._new, self._assign, self._filters = KalmanFilter, linear_sum_assignment, list[Any]()
-        self._transition = np.kron(np.eye(3), [[1, dt_s, dt_s**2 / 2], [0, 1, dt_s], [0, 0, 1]])
-        gain = np.kron(np.eye(3), np.array([[dt_s**2 / 2], [dt_s], [1]]))
-        self._noise = gain @ gain.T
+        self._new, self._interacting, self._assign = KalmanFilter, IMMEstimator, linear_sum_assignment
+        self._filters = list[Any]()
+        modes = motion.modes or (motion,)
+        self._models = [[np.kron(np.eye(3), block) for block in MOTION[mode.model](dt_s, mode)] for mode in modes]
+        self._switching = mode_switching(dt_s, len(modes), motion.mode_memory_s)
 
     def __call__(self, found: list[tuple[Floats, Floats]]) -> float:
         for kalman in self._filters:
@@ -188,7 +193,9 @@ class _Tracker:
         taken = set()
         for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
             if cost[i, j] < 1e6:
-                self._filters[i].update(found[j][0], R=found[j][1])
+                for each in getattr(self._filters[i], "filters", [self._filters[i]]):
+                    each.R = found[j][1]
+                self._filters[i].update(found[j][0])
                 taken.add(j)
         for j in set(range(len(found))) - taken:
             if len(self._filters) < 20:
@@ -207,11 +214,15 @@ class _Tracker:
         return squared
 
     def _born(self, place: Floats, covariance: Floats) -> Any:
-        kalman = self._new(dim_x=9, dim_z=3)
-        kalman.F, kalman.Q, kalman.P = self._transition, self._noise, np.eye(9)
-        kalman.H = np.kron(np.eye(3), [[1, 0, 0]])
-        kalman.x[[0, 3, 6], 0] = place
-        return kalman
+        modes = []
+        for transition, noise in self._models:
+            kalman = self._new(dim_x=9, dim_z=3)
+            kalman.F, kalman.Q, kalman.P = transition, noise, np.eye(9)
+            kalman.H = np.kron(np.eye(3), [[1, 0, 0]])
+            kalman.x[[0, 3, 6], 0] = place
+            modes.append(kalman)
+        share = np.full(len(modes), 1 / len(modes))
+        return modes[0] if len(modes) == 1 else self._interacting(modes, share, self._switching)
 
 
 def _start(cv2: Any, passed: Any, reason: Why) -> tuple[Any, Any]:

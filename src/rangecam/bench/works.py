@@ -15,7 +15,9 @@ from rangecam.bench import peers, unwrapping_peer
 from rangecam.bench.race import Row, race
 from rangecam.clean import clean
 from rangecam.config import Config, load_config
+from rangecam.cw.imperfections import imperfect
 from rangecam.io import open_source
+from rangecam.motion import Mode, MotionSettings
 from rangecam.pipeline import RANGING, call, process_frame
 from rangecam.scene.view import View
 from rangecam.segmentation import SEGMENTATION
@@ -164,12 +166,16 @@ def _pulsed(seconds: float) -> Iterator[Row]:
 def _tracker(seconds: float) -> Iterator[Row]:
     segments, dt_s = _twenty_segments(), 0.02
     tracking = load_config("usercams").tracking
-    tracks = Tracks.empty()
-    for k in range(10):
-        tracks = update_tracks(tracks, segments, k * dt_s, tracking)
-    ours = partial(update_tracks, tracks, segments, 10 * dt_s, tracking)
-    name, theirs = _peer("filterpy", "FilterPy", peers.filterpy_tracker, segments, dt_s)
-    yield race("tracker_20_ca", ours, name, theirs, seconds)
+    for work, motion in (("tracker_20_ca", tracking.motion), ("tracker_20_imm", _INTERACTING)):
+        settings, tracks = replace(tracking, motion=motion), Tracks.empty()
+        for k in range(10):
+            tracks = update_tracks(tracks, segments, k * dt_s, settings)
+        ours = partial(update_tracks, tracks, segments, 10 * dt_s, settings)
+        name, theirs = _peer("filterpy", "FilterPy", peers.filterpy_tracker, segments, dt_s, motion)
+        yield race(work, ours, name, theirs, seconds)
+
+
+_INTERACTING = MotionSettings(modes=(Mode(model="constant_velocity"), Mode(model="constant_acceleration")))
 
 
 def _twenty_segments() -> Segments:
@@ -206,10 +212,14 @@ def _segmentation(seconds: float) -> Iterator[Row]:
 
 
 def _simulation(seconds: float) -> Iterator[Row]:
-    """Yield a row for each forward model: samples of a plane at 4 m, given its range and reflectivity."""
+    """Yield a row for each forward model: samples of a plane at 4 m, given its range and reflectivity.
+
+    The continuous-wave camera has every imperfection but a second bounce, which takes a hundred times as long.
+    """
     simulators: dict[str, Callable[..., Any]] = {"cw": cw.simulate, "pulsed": pulsed.simulate}
     for work, preset in (("simulate_cw_160x120", "scaled_car"), ("simulate_pulsed_64x8", "usercams")):
         camera = load_config(preset).camera
+        camera = imperfect(camera) if camera.kind == "cw" else camera
         shape = (1, camera.rows, camera.columns)
         view = View(np.full(shape, 4.0), np.full(shape, 0.5), np.ones(shape))
         rng = np.random.default_rng(1)

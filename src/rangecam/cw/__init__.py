@@ -6,10 +6,11 @@ from rangecam.cw.calibrated import PLANES, calibrated, made_for
 from rangecam.cw.camera import simulate
 from rangecam.cw.corrected import corrected
 from rangecam.cw.fixed_point import cw_emulation
+from rangecam.cw.phasor import shared_noise_pixels
 from rangecam.cw.settings import CwCamera
 
 _METHODS = {**{name: corrected(method) for name, method in ranging.RANGING.items()}, "cw_emulation": cw_emulation}
 RANGING = {name: calibrated(method) for name, method in _METHODS.items()}
 """Ranging methods of continuous-wave cameras by name; they apply `corrected` and the calibration of the frame."""
 
-__all__ = ["CALIBRATE", "PLANES", "RANGING", "CwCamera", "made_for", "simulate"]
+__all__ = ["CALIBRATE", "PLANES", "RANGING", "CwCamera", "made_for", "shared_noise_pixels", "simulate"]

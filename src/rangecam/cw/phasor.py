@@ -76,12 +76,20 @@ def noise_model(camera: CwCamera) -> Floats:
     )
 
 
+_REACH = {"off": 0, "3x3": 1, "5x5": 2}
+
+
+def shared_noise_pixels(camera: CwCamera) -> float:
+    """Return how many pixels' worth of noise each pixel shares with its neighbours after the filter of the phasor."""
+    return float((2 * _REACH[camera.phasor_filter] + 1) ** 2)
+
+
 def filter_rule(camera: CwCamera, wavelengths_m: tuple[float, ...]) -> tuple[int, Floats]:
     """Return how many rows and columns around a pixel are averaged with it, and the rule for taking part (4,).
 
     wavelengths_m: the range after which the phase of each frequency repeats.
     """
-    reach = {"off": 0, "3x3": 1, "5x5": 2}[camera.phasor_filter]
+    reach = _REACH[camera.phasor_filter]
     tolerance = sum((2 * math.pi * camera.phasor_filter_tolerance_m / each) ** 2 for each in wavelengths_m)
     rule = [camera.phasor_filter_sigmas**2, camera.phasor_filter_contrast, camera.phasor_min_support, tolerance]
     return reach, np.array(rule, np.float32)
