@@ -62,7 +62,7 @@ def opencv_cw_chain(config: Config) -> Callable[[Planes], float]:
     """Return a function of the four phase images: histogram segments, tracked, and the free way to the nearest."""
     import cv2
 
-    clean, track = opencv_cw_range(config), _Tracker(1 / config.camera.frame_rate_hz)
+    clean, track = opencv_cw_range(config), _Tracker(1 / config.camera.frame_rate_hz, config.tracking.motion)
     bin_m, top_m = config.segments.bin_width_m, 10.0
     smoothing = np.ones(config.segments.smoothing_bins) / config.segments.smoothing_bins
 
@@ -89,7 +89,7 @@ def opencv_pulsed_chain(config: Config) -> Callable[[Planes], float]:
     assert camera.kind == "pulsed"
     pixel = camera.pixel
     half_c_pulse = camera.speed_of_light_mps * camera.pulse_width_s / 2
-    grow, track = _flood_filled(config), _Tracker(1 / camera.frame_rate_hz)
+    grow, track = _flood_filled(config), _Tracker(1 / camera.frame_rate_hz, config.tracking.motion)
 
     def chain(planes: Planes) -> float:
         a, b, n_acc = planes["shutter_a"], planes["shutter_b"], planes["n_acc"]
