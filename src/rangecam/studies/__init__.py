@@ -12,6 +12,8 @@ A study is a function of a random generator; it returns its claims and the serie
 - virtual: how the whole camera measures in them
 - tracking_models: the motion models side by side
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
+- cw_scattering, cw_motion, cw_flying, cw_hdr, cw_multipath: and what its correction leaves; plates: scenes
+- cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
 - filters: the filters of cleaning side by side
 - unwrapping: several modulation frequencies, their errors and what the phasor filter saves
@@ -25,7 +27,13 @@ from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
 from rangecam.studies.calibration import calibration
+from rangecam.studies.cw_flying import cw_flying
+from rangecam.studies.cw_hdr import cw_hdr
+from rangecam.studies.cw_calibration import cw_calibration
 from rangecam.studies.cw_imperfections import cw_imperfections
+from rangecam.studies.cw_motion import cw_motion
+from rangecam.studies.cw_multipath import cw_multipath
+from rangecam.studies.cw_scattering import cw_scattering
 from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
@@ -45,7 +53,7 @@ from rangecam.studies.pulsed_rain import pulsed_rain
 from rangecam.studies.pulsed_saturation import pulsed_saturation
 from rangecam.studies.pulsed_scenes import pulsed_scenes
 from rangecam.studies.pulsed_sensor import pulsed_sensor
-from rangecam.studies.study import Claim, Panel, Series, Study, as_json, table, verdicts
+from rangecam.studies.study import Claim, Panel, Picture, Series, Study, as_json, table, verdicts
 from rangecam.studies.tracking_models import tracking_models
 from rangecam.studies.unwrapping import unwrapping
 
@@ -70,6 +78,12 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "applications": applications,
     "tracking-models": tracking_models,
     "cw-imperfections": cw_imperfections,
+    "cw-calibration": cw_calibration,
+    "cw-scattering": cw_scattering,
+    "cw-motion": cw_motion,
+    "cw-flying": cw_flying,
+    "cw-hdr": cw_hdr,
+    "cw-multipath": cw_multipath,
     "arctangents": arctangents,
     "emulation": emulation,
     "filters": filters,
@@ -101,6 +115,7 @@ __all__ = [
     "STUDIES",
     "Claim",
     "Panel",
+    "Picture",
     "Series",
     "Study",
     "as_json",

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rangecam.report.figures import PALETTE, STYLE
-from rangecam.studies.study import Panel, Study
+from rangecam.studies.study import Panel, Picture, Study
 
 
 @matplotlib.rc_context(STYLE)
@@ -23,12 +23,20 @@ def draw(study: Study) -> bytes:
     figure.suptitle(f"{study.name}: {study.section}", fontsize=10)
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for ax, panel in zip(axes, study.panels, strict=False):
+        if panel.picture is not None:
+            _draw_picture(figure, ax, panel.picture)
         _draw_panel(ax, panel)
     for ax in axes[count:]:
         ax.set_visible(False)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
+
+
+def _draw_picture(figure: Figure, ax: Axes, picture: Picture) -> None:
+    low, high = picture.limits
+    drawn = ax.imshow(np.asarray(picture.values), cmap="turbo_r", vmin=low, vmax=high, interpolation="nearest")
+    figure.colorbar(drawn, ax=ax, fraction=0.046, pad=0.02, shrink=0.7, label=picture.label)
 
 
 def _draw_panel(ax: Axes, panel: Panel) -> None:
@@ -43,6 +51,6 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
     ax.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     for name in panel.log:
         getattr(ax, f"set_{name}scale")("log")
-    ax.grid(visible=True)
+    ax.grid(visible=panel.picture is None)
     if any(one.label for one in panel.series):
         ax.legend(loc="best", fontsize=8)

@@ -40,9 +40,18 @@ class Series:
     colour: int | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Values of pixels (H, W), NaN left blank; label: what the colours mean, with unit; limits: of the colours."""
+
+    values: ArrayLike
+    label: str
+    limits: tuple[float, float]
+
+
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes, labelled with units."""
+    """One pair of axes, labelled with units; with a picture, series lie over it in columns and rows."""
 
     title: str
     x_label: str
@@ -50,6 +59,7 @@ class Panel:
     series: Sequence[Series]
     log: str = ""
     """Axes that are logarithmic: "", "x", "y" or "xy"."""
+    picture: Picture | None = None
 
 
 @dataclass(frozen=True)
