@@ -275,3 +275,43 @@ def test_one_frequency_cannot_tell_multipath():
     camera = replace(CAMERA, multipath_sigmas=3.0)
     with pytest.raises(UsageError, match="one modulation frequency cannot tell multipath"):
         FOUR(shot(target_before_wall()[0], camera), camera)
+
+
+def test_the_shell_finds_the_lens_and_ranging_with_the_file_corrects_it(tmp_path, capsys):
+    """A white plate at 0.5 m before a wall at 2 m, simulated and recorded; the file corrects what it was made from."""
+    from rangecam.calibration import Calibration, Recording, load_calibration
+    from rangecam.cli import main
+    from rangecam.cw.scattering_fit import scattering
+    from rangecam.io import Recorder
+    from rangecam.types import Capture
+
+    config = load_config("scaled_car", {"camera": {"rows": 60, "columns": 80, "scattering": {"stray_fraction": 0.02}}})
+    view, _ = target_before_wall(wall_m=2.0, wall_reflectivity=0.5)
+    scenes = {"with": view, "without": seen(np.full((60, 80), 2.0), 0.5)}
+    for n, (name, each) in enumerate(scenes.items()):
+        recorder = Recorder(tmp_path / f"{name}.mcap", config)
+        for k in range(12):
+            raw = replace(shot(each, config.camera, 100 * n + k), frame_id=k, time_s=0.1 * k)
+            recorder.write(Capture(raw))
+        recorder.close()
+    files = [str(tmp_path / f"{name}.mcap") for name in scenes]
+    out = str(tmp_path / "lens.npz")
+    assert main(["calibrate", "scattering", files[0], "--without", files[1], "-o", out]) == 0
+    assert "stray_fraction 0.0" in " ".join(capsys.readouterr().out.split())
+    found = load_calibration(tmp_path / "lens.npz").settings["stray_light"]
+    assert found["stray_fraction"] == pytest.approx(0.02, rel=0.05)
+    assert found["width"] == pytest.approx(0.25, rel=0.05)
+    errors = []
+    for extra in ([], [f"--set=camera.calibration={out}"]):
+        images = str(tmp_path / f"{len(extra)}.npz")
+        everything = ("floor=off", "x_max_m=9.0", "width_m=9.0", "z_max_m=9.0", "wrap_threshold=0.0")
+        sets = [f"--set=clean.{each}" for each in everything]
+        assert main(["run", files[0], "--images", images, *sets, *extra]) == 0
+        with np.load(images) as found_images:
+            wall = found_images["valid"] & (found_images["range_m"] > 1)
+            errors.append(abs(np.mean(found_images["range_m"][wall]) - 2.0))
+    assert errors[1] < 0.2 * errors[0]
+    with pytest.raises(DataError, match="no frames of the scene without the target"):
+        frames = [shot(view, CAMERA)]
+        none = Recording("empty", [], CAMERA, "cw_four_phase", FOUR)
+        scattering([Recording("with", frames, CAMERA, "cw_four_phase", FOUR), none], Calibration({}))

@@ -157,6 +157,26 @@ def temperature(
     _finish("temperature", opened, from_, output, json, {})
 
 
+@calibrate.command
+def scattering(
+    target: str,
+    *,
+    without: Annotated[
+        str | None, Parameter(show_default=False, help="Recording of the same scene without the target.")
+    ] = None,
+    output: Output,
+    from_: From = None,
+    preset: Preset = None,
+    config: ConfigFile = None,
+    set_: Set = [],  # noqa: B006 (as above)
+    json: Json = False,
+) -> None:
+    """Take the stray light of the lens from TARGET, a recording of something small and bright before darkness."""
+    recordings = [target] if without is None else [target, without]
+    opened = _open(recordings, from_, (preset, config, set_), numbered=False)
+    _finish("scattering", opened, from_, output, json, {})
+
+
 def _open(
     recordings: Sequence[str],
     start: Path | None,

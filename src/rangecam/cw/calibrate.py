@@ -8,8 +8,10 @@ import numpy as np
 
 from rangecam.calibration import Calibration, Recording, attach, begun, known_of
 from rangecam.cw.calibrated import PATTERN, TEMPERATURE, made_for
+from rangecam.cw.effects import Scattering
 from rangecam.cw.noise_fit import fit_sample_noise, still_samples
 from rangecam.cw.ranging import cw_phases
+from rangecam.cw.scattering_fit import scattering
 from rangecam.cw.sequence import plane_name, single_frequencies
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.unwrapping import combine
@@ -17,6 +19,7 @@ from rangecam.cw.wiggling import unambiguous_m
 from rangecam.cw.wiggling_fit import Errors, WigglingFit, errors_of, fit_wiggling, mean_offset_m, mean_range
 from rangecam.errors import DataError
 from rangecam.geometry import rays
+from rangecam.hdr import ranged
 from rangecam.types import Floats, RangeImage, RawFrame
 
 REFERENCE = "reference_range_m"
@@ -132,7 +135,7 @@ def pattern(recordings: Sequence[Recording], start: Calibration) -> Calibration:
     absolute, relative, degrees = [], [], []
     for each in recordings:
         frames = [_without_planes(raw) for raw in each.frames]
-        measured_m, weight = mean_range((each.ranging(raw, camera) for raw in frames), period_m)
+        measured_m, weight = mean_range((ranged(each.ranging, raw, camera) for raw in frames), period_m)
         known_m = _known_range_m(each, frames, camera)
         if known_m is None:
             known_m = fitted_plane_m(measured_m, weight, camera)
@@ -164,7 +167,7 @@ def temperature(recordings: Sequence[Recording], start: Calibration) -> Calibrat
     period_m, degrees, shifts_m = _period_m(camera), [], []
     for each in recordings:
         for raw in each.frames:
-            image = each.ranging(attach(raw, start), camera)
+            image = ranged(each.ranging, attach(raw, start), camera)
             first = first or image
             shifts_m.append(_shift_m(image, first, period_m, raw))
             given = TEMPERATURE in raw.planes and each.known is None
@@ -228,7 +231,9 @@ def _shift_m(image: RangeImage, first: RangeImage, period_m: float, raw: RawFram
 def _camera(recordings: Sequence[Recording], start: Calibration) -> CwCamera:
     """Return the camera of the recordings as far as the calibration so far corrects it."""
     camera: CwCamera = recordings[0].camera
-    return replace(camera, **{name: _tuples(start.settings[name]) for name in _CORRECTS if name in start.settings})
+    found = {name: _tuples(start.settings[name]) for name in _CORRECTS if name in start.settings}
+    stray_light = Scattering(**start.settings["stray_light"]) if "stray_light" in start.settings else camera.stray_light
+    return replace(camera, **found, stray_light=stray_light)
 
 
 def _tuples(value: Any) -> Any:
@@ -270,7 +275,7 @@ def _temperature_c(frames: Sequence[RawFrame], camera: CwCamera) -> float:
 def _single_images(frames: Sequence[RawFrame], recording: Recording, camera: CwCamera, k: int) -> Iterable[RangeImage]:
     """Return the ranges of modulation frequency number k by itself."""
     if not camera.modulations_hz:
-        return (recording.ranging(raw, camera) for raw in frames)
+        return (ranged(recording.ranging, raw, camera) for raw in frames)
     names = {plane_name(step, k): plane_name(step) for step in camera.phase_steps_deg}
     parts = (replace(raw, planes={new: raw.planes[old] for old, new in names.items()}) for raw in frames)
     return (cw_phases(part, single_frequencies(camera)[k]) for part in parts)
@@ -302,5 +307,6 @@ CALIBRATE: dict[str, Callable[..., Calibration]] = {
     "pattern": pattern,
     "temperature": temperature,
     "noise": noise,
+    "scattering": scattering,
 }
 """Steps of a calibration by name: (recordings, the calibration so far, options) -> calibration."""

@@ -1,11 +1,15 @@
 """How strongly and how widely a lens scatters light, from a recording of something small and bright before darkness."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from itertools import chain
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.optimize import least_squares
 
+from rangecam.calibration import Calibration, Recording, begun
+from rangecam.cw.calibrated import made_for
 from rangecam.cw.effects import Scattering
 from rangecam.cw.phasor import harmonic_weights
 from rangecam.cw.scattering import Light, stray_light
@@ -19,6 +23,21 @@ _BRIGHT = 0.1
 _RIM_PIXELS = 3
 _START = (0.01, 0.25)
 _NARROWEST, _WIDEST = 0.02, 5.0
+
+
+def scattering(recordings: Sequence[Recording], start: Calibration) -> Calibration:
+    """Return the calibration with `stray_light`: the first recording is of the target, the others without it.
+
+    As `fit_scattering`, which says what they must show and what is raised.
+    """
+    camera: CwCamera = recordings[0].camera
+    begin = begun(recordings, start, camera, made_for)
+    without = list(chain.from_iterable(each.frames for each in recordings[1:]))
+    if len(recordings) > 1 and not without:
+        raise DataError(f"{recordings[1].name}: there are no frames of the scene without the target")
+    found = asdict(fit_scattering(recordings[0].frames, camera, without))
+    about = {**found, "without_target": [each.name for each in recordings[1:]]}
+    return replace(begin, settings={**start.settings, "stray_light": found}, taken={**start.taken, "scattering": about})
 
 
 def fit_scattering(frames: Iterable[RawFrame], camera: CwCamera, without: Iterable[RawFrame] = ()) -> Scattering:
