@@ -100,6 +100,7 @@ DIFFERING = {
     "pulsed-gating": ["N-K-076"],
     "eye-safety": ["N-K-044", "N-K-045", "N-K-045"],
     "emulation": ["N-S-018"],
+    "tracking-tuning": ["N-K-086"],
 }
 
 

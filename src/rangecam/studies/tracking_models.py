@@ -35,7 +35,7 @@ the interacting one makes use, too. Its parameters were chosen on these scenes, 
 
 _FRAME_S, _SETTLED_S, _RUNS = 0.02, 0.5, 500
 _SIGMA_RANGE_M, _SIGMA_ANGLE_RAD = 0.1, 0.02
-_APART_M = 1000.0  # the runs are tracked side by side, so far apart that none can be taken for another
+APART_M = 1000.0  # the runs are tracked side by side, so far apart that none can be taken for another
 _TRACKING = TrackingSettings(position_sigma_m=0.0, extent_sigma=0.0, gate_probability=1 - 1e-9)
 _LIMITS = {"braking": 0.66, "walking": 0.51}  # m/s: what is asked of the best model
 
@@ -121,14 +121,14 @@ def _measured(truth: Floats, runs: int, rng: np.random.Generator) -> list[Segmen
         across_m2 = (range_m * _SIGMA_ANGLE_RAD) ** 2
         variance = np.stack([np.full(runs, _SIGMA_RANGE_M**2), across_m2 * ce**2, across_m2])
         covariance = np.einsum("kan,kn,kbn->nab", axes, variance, axes)
-        frames.append(_segments(range_m[:, None] * axes[0].T, covariance))
+        frames.append(side_by_side(range_m[:, None] * axes[0].T, covariance))
     return frames
 
 
-def _segments(position_m: Floats, covariance_m2: Floats) -> Segments:
+def side_by_side(position_m: Floats, covariance_m2: Floats) -> Segments:
     """Return one segment a run, moved to the place of the run."""
     n = len(position_m)
-    position_m = position_m + np.outer(np.arange(n), [0.0, _APART_M, 0.0])
+    position_m = position_m + np.outer(np.arange(n), [0.0, APART_M, 0.0])
     return Segments(
         label=np.arange(1, n + 1),
         position_m=position_m,
@@ -151,7 +151,7 @@ def _followed(frames: list[Segments], truth: Floats, time_s: Floats, motion: Mot
     for segments, state, at_s in zip(frames, truth, time_s, strict=True):
         tracks = update_tracks(tracks, segments, float(at_s), settings)
         error = tracks.state - state
-        error[:, 3] -= _APART_M * np.arange(len(error))
+        error[:, 3] -= APART_M * np.arange(len(error))
         P = tracks.covariance[:, six[:, None], six]
         nees.append(np.einsum("ni,ni->n", error[:, six], np.linalg.solve(P, error[:, six, None])[..., 0]) / 6)
         errors.append(error)

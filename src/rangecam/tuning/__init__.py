@@ -11,7 +11,7 @@ well and says truly how well: too little noise makes the innovations too unlikel
 """
 
 from rangecam.tuning.names import process_noise, value_of, with_values
-from rangecam.tuning.paths import Likelihood, Paths, follow, likelihood, paths_of
+from rangecam.tuning.paths import Likelihood, Paths, aside, follow, likelihood, paths_of
 from rangecam.tuning.search import Tuned, follow_all, toml_of, tune
 from rangecam.tuning.workers import mapping, workers
 
@@ -19,6 +19,7 @@ __all__ = [
     "Likelihood",
     "Paths",
     "Tuned",
+    "aside",
     "follow",
     "follow_all",
     "likelihood",

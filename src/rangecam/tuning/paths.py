@@ -66,12 +66,12 @@ def paths_of(name: str, frames: Iterable[Frame], tracking: TrackingSettings, not
     steps = []
     for time_s, segments, ids, rows in taken:
         kept = [(number[i], row) for i, row in zip(ids.tolist(), rows, strict=True) if i in number]
-        steps.append((time_s, _aside(segments, kept)))
+        steps.append((time_s, aside(segments, kept)))
     return Paths(name, tracking, len(number), steps, notes)
 
 
-def _aside(segments: Segments, kept: list[tuple[int, int]]) -> Segments:
-    """Return rows of the segments, (number, row) each, numbered and moved aside."""
+def aside(segments: Segments, kept: Sequence[tuple[int, int]]) -> Segments:
+    """Return rows of the segments, (number of the path, row) each, numbered and moved aside as `Paths` has them."""
     numbers, rows = np.array(kept, int).reshape(-1, 2).T
     arrays = {key: array[rows] for key, array in vars(segments).items()}
     aside = np.outer(numbers, [0.0, _APART_M, 0.0])
