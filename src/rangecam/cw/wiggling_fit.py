@@ -117,6 +117,8 @@ def fit_wiggling(
         share = np.where(used & often, weight, 0.0)
         total = share.sum(axis=0)
         own = (share * (error - fitted)).sum(axis=0) / np.where(total > 0, total, 1.0)
+        if (total > 0).any():  # what all pixels have in common is the constant
+            own = np.where(total > 0, own - own[total > 0].mean(), 0.0)
         left = error - fitted - own
         used = (weight > 0) & (np.abs(left) <= _OUTLIER * max(_spread(left[weight > 0]), _MODEL_ERROR_M))
     after_m = _spread((error - fitted - own)[weight > 0])
