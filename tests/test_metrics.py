@@ -16,7 +16,19 @@ from rangecam import pipeline
 from rangecam.cli import main
 from rangecam.errors import UsageError
 from rangecam.io import open_source
-from rangecam.metrics import Moment, amse, chi_square_bounds, clear_mot, gospa, hota, moment, nees, quality, rmse
+from rangecam.metrics import (
+    Moment,
+    amse,
+    chi_square_bounds,
+    clear_mot,
+    gospa,
+    honesty,
+    hota,
+    moment,
+    nees,
+    quality,
+    rmse,
+)
 
 SEQUENCES = ("TUD-Campus", "TUD-Stadtmitte")
 NAN = float("nan")
@@ -62,6 +74,18 @@ def test_amse_is_the_mean_square_error_of_all_runs_and_steps(rng: np.random.Gene
     np.testing.assert_allclose(amse(error), (error**2).mean(axis=(0, 1)))
     np.testing.assert_allclose(rmse(error, axis=(0, 1)), np.sqrt(amse(error)))
     assert rmse(np.array([3.0, 4.0])) == pytest.approx(np.sqrt(12.5))
+
+
+def test_nis_of_a_true_model_is_honest_and_of_a_wrong_one_is_not(rng: np.random.Generator) -> None:
+    nis = rng.chisquare(3, 5000)
+    good, bad = honesty(np.append(nis, NAN)), honesty(2 * nis)
+    assert good is not None
+    assert bad is not None
+    assert good["bounds"][0] < good["mean"] < good["bounds"][1]
+    assert good["inside"] == pytest.approx(0.95, abs=0.01)
+    assert bad["mean"] > bad["bounds"][1]
+    assert bad["inside"] < 0.9
+    assert honesty(np.array([NAN])) is None
 
 
 # -- GOSPA ------------------------------------------------------------------------------------------------------------
@@ -270,9 +294,13 @@ def test_a_simulated_run_says_how_well_it_follows_the_truth(capsys: pytest.Captu
 
 def test_the_summary_of_a_simulated_run_has_its_quality(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "scenario:test-scene", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["quality"]
-    assert {"gospa_m", "clear", "hota", "rmse_position_m", "rmse_velocity_mps", "nis"} <= set(found)
+    result = json.loads(capsys.readouterr().out)
+    assert {"gospa_m", "clear", "hota", "rmse_position_m", "rmse_velocity_mps", "velocity_nees"} <= set(
+        result["quality"]
+    )
+    assert set(result["nis"]) == {"mean", "bounds", "inside"}
     assert main(["run", "scenario:test-scene"]) == 0
     out = capsys.readouterr().out
     assert "truth      RMS error" in out
     assert "HOTA" in out
+    assert "NIS        " in out

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from rangecam.config import Config
-from rangecam.metrics import quality_of, scored
+from rangecam.metrics import honesty, quality_of, scored
 from rangecam.metrics.quality import Scored
-from rangecam.types import CLASSES, Capture, Decision, Frame, TrackStatus
+from rangecam.types import CLASSES, Capture, Decision, Floats, Frame, TrackStatus
 
 
 class Stopwatch:
@@ -53,6 +53,7 @@ class Summary:
         self._braking = False
         self._brake_frames = 0
         self._tracks: dict[int, dict[str, Any]] = {}
+        self._nis: list[Floats] = []
         self._scored: list[Scored] = []
         self._digest = hashlib.sha256()
 
@@ -67,6 +68,7 @@ class Summary:
             self._events.append(_event(decision))
         self._braking = decision.brake
         tracks, threats = frame.tracks, decision.collisions
+        self._nis.append(tracks.nis[tracks.status == TrackStatus.CONFIRMED])
         if (against_truth := scored(capture, frame, self._config)) is not None:
             self._scored.append(against_truth)
         for values in (
@@ -104,6 +106,7 @@ class Summary:
     def result(self, watch: Stopwatch) -> dict[str, Any]:
         """Return the summary as JSON values; `digest` is equal if and only if every track and decision was.
 
+        `nis` is whether the innovations of the confirmed tracks are as large as they should be: see `metrics.honesty`;
         `quality` is there where the truth is known: see `metrics.quality_of`.
         """
         from rangecam import __version__
@@ -124,6 +127,7 @@ class Summary:
             "segments_per_frame": self._segments,
             "tracks": list(self._tracks.values()),
             "decisions": {"brake_frames": self._brake_frames, "events": self._events},
+            "nis": honesty(np.concatenate([np.zeros(0), *self._nis])),
             **({"quality": quality_of(self._scored)} if self._scored else {}),
             "latency_ms": watch.latency_ms(),
             "digest": self._digest.hexdigest(),
@@ -159,6 +163,7 @@ def describe(result: dict[str, Any]) -> str:
         f"objects    {count(len(tracks), 'confirmed track')}",
         *_first([_describe_track(track) for track in tracks], 8),
         *(_first(brakes, 5) or ["brake      never"]),
+        *_describe_honesty(result["nis"]),
         *_describe_quality(result.get("quality")),
     ]
     if "sum" in result["latency_ms"]:
@@ -175,6 +180,15 @@ def count(number: int, what: str) -> str:
 def _describe_track(track: dict[str, Any]) -> str:
     seen = f"{track['first_s']:.2f}-{track['last_s']:.2f} s"
     return f"           #{track['track_id']} {track['class']}: {seen}, nearest {track['nearest_m']:.2f} m"
+
+
+def _describe_honesty(nis: dict[str, Any] | None) -> list[str]:
+    """Return how large the innovations are beside what they should be, if any track was confirmed."""
+    if nis is None:
+        return []
+    low, high = nis["bounds"]
+    verdict = "as it should be" if low <= nis["mean"] <= high else f"expected {low:.2f} to {high:.2f}"
+    return [f"NIS        {nis['mean']:.2f} on average, {verdict}; {100 * nis['inside']:.0f} % within their bounds"]
 
 
 def _describe_quality(quality: dict[str, Any] | None) -> list[str]:

@@ -6,7 +6,7 @@
 """
 
 from rangecam.metrics.consistency import amse, chi_square_bounds, nees, rmse
-from rangecam.metrics.quality import quality, quality_of, scored
+from rangecam.metrics.quality import honesty, quality, quality_of, scored
 from rangecam.metrics.scores import Clear, Gospa, Hota, Moment, clear_mot, gospa, hota, moment
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "chi_square_bounds",
     "clear_mot",
     "gospa",
+    "honesty",
     "hota",
     "moment",
     "nees",

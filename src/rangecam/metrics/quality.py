@@ -20,13 +20,12 @@ MIN_PIXELS = 3
 class Scored(NamedTuple):
     """A frame against the truth: who was where, and velocities and their covariances of all pairs of both.
 
-    velocity_error_mps (n, m, 3): of track j if it follows object i; velocity_covariance (m, 3, 3); nis: of the tracks.
+    velocity_error_mps (n, m, 3): of track j if it follows object i; velocity_covariance (m, 3, 3).
     """
 
     moment: Moment
     velocity_error_mps: Floats
     velocity_covariance: Floats
-    nis: Floats
 
 
 def quality(
@@ -69,7 +68,6 @@ def scored(capture: Capture, frame: Frame, config: Config, min_pixels: int = MIN
         moment(present, places, tracks.track_id[own], state[:, [0, 3]]),
         state[None, :, VELOCITY] - truth.velocities_mps[present].reshape(-1, 1, 3),
         tracks.covariance[own][:, velocity[:, None], velocity],
-        tracks.nis[own],
     )
 
 
@@ -77,9 +75,8 @@ def quality_of(steps: Sequence[Scored], limit_m: float = LIMIT_M) -> dict[str, A
     """Return the scores of frames as JSON values; None where there was nothing to measure.
 
     frames, objects (most at a time), gospa_m (RMS over the frames, and the part of its square by localisation, missed,
-    false), clear, hota, rmse_position_m, rmse_velocity_mps, velocity_nees (mean over 3), nis (mean over 3, the bounds
-    within which it should be and the share of single values within theirs, both for 95 %). Errors are of pairs that
-    are at most `limit_m` apart and each other's nearest.
+    false), clear, hota, rmse_position_m, rmse_velocity_mps, velocity_nees (mean over 3). Errors are of pairs that are
+    at most `limit_m` apart and each other's nearest.
     """
     frames = [step.moment for step in steps]
     parts = np.array([gospa(frame, limit_m) for frame in frames])
@@ -87,8 +84,6 @@ def quality_of(steps: Sequence[Scored], limit_m: float = LIMIT_M) -> dict[str, A
     distance = _joined([frame.distance[pair] for frame, pair in zip(frames, pairs, strict=True)], 0)
     error = _joined([step.velocity_error_mps[pair] for step, pair in zip(steps, pairs, strict=True)], 3)
     spread = np.concatenate([step.velocity_covariance[pair[1]] for step, pair in zip(steps, pairs, strict=True)])
-    nis = np.concatenate([step.nis for step in steps])
-    nis = nis[np.isfinite(nis)]
     clear, order = clear_mot(frames, limit_m), hota(frames, limit_m)
     found = {
         "frames": len(frames),
@@ -100,7 +95,6 @@ def quality_of(steps: Sequence[Scored], limit_m: float = LIMIT_M) -> dict[str, A
         "rmse_position_m": rmse(distance) if len(distance) else None,
         "rmse_velocity_mps": rmse(np.linalg.norm(error, axis=1)) if len(error) else None,
         "velocity_nees": nees(error, spread).mean() / 3 if len(error) else None,
-        "nis": _honesty(nis) if len(nis) else None,
     }
     plain: dict[str, Any] = _plain(found)
     return plain
@@ -123,10 +117,21 @@ def _joined(arrays: list[Floats], width: int) -> Floats:
     return np.concatenate([np.zeros((0, width) if width else 0), *arrays])
 
 
-def _honesty(nis: Floats) -> dict[str, Any]:
+def honesty(nis: Floats) -> dict[str, Any] | None:
+    """Return whether NIS of three degrees of freedom are as they should be, None where all are NaN.
+
+    mean (over 3; 1 where the innovations are as large as their covariance says), bounds (of that mean, for 95 %),
+    inside (share of single values within their bounds, to be 0.95). No truth is needed.
+    """
+    nis = nis[np.isfinite(nis)]
+    if not len(nis):
+        return None
     low, high = chi_square_bounds(3)
     bounds = [bound / 3 for bound in chi_square_bounds(3, len(nis))]
-    return {"mean": nis.mean() / 3, "bounds": bounds, "inside": ((nis >= low) & (nis <= high)).mean()}
+    found: dict[str, Any] = _plain(
+        {"mean": nis.mean() / 3, "bounds": bounds, "inside": np.mean((nis >= low) & (nis <= high))}
+    )
+    return found
 
 
 def _plain(value: Any) -> Any:
