@@ -100,14 +100,17 @@ def test_what_a_pixel_cannot_measure_is_said_as_without_correction_and_does_no_h
     planes["phase_180"][12, 60] = -5000.0
     for plane in planes.values():
         plane[13, 60] = 7.0
+        plane[14, 60] = -np.inf
         plane[0] = 65535.0  # the sensor's own data is no light
-    image = FOUR(RawFrame(0.0, planes), replace(camera, stray_light=STRAY))
-    assert image.why[10:14, 60].tolist() == [Why.NOT_FINITE, Why.SATURATED, Why.SATURATED, Why.NO_SIGNAL]
+    planes["phase_0"][14, 60] = np.inf
+    image = FOUR(RawFrame(0.0, planes), replace(camera, stray_light=STRAY, motion_sigmas=3.0, motion_tolerance=0.1))
+    told = [Why.NOT_FINITE, Why.SATURATED, Why.SATURATED, Why.NO_SIGNAL, Why.NOT_FINITE]
+    assert image.why[10:15, 60].tolist() == told
     assert (image.why[0] == Why.SENSOR_FLAG).all()
     clean = FOUR(raw, replace(camera, stray_light=STRAY))
     inner = np.s_[30:, 30:55]
     np.testing.assert_allclose(image.range_m[inner], clean.range_m[inner], atol=0.02)
-    assert image.valid[inner].all()
+    assert image.valid[inner].mean() > 0.98
 
 
 def test_stray_light_is_taken_out_before_neighbours_are_averaged_and_at_every_frequency():

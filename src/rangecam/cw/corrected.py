@@ -49,9 +49,11 @@ def _ranged(raw: RawFrame, camera: CwCamera, method: Method, names: tuple[str, .
         )
     samples = np.stack([plane_of(raw, name, names) for name in names]).astype(np.float32)
     why = _refused(samples, camera)
+    samples[:, why == Why.NOT_FINITE] = np.nan  # infinite minus infinite would warn
     samples -= np.float32(camera.black_level_lsb)
-    stray = stray_light(np.where(_lit(samples, why, camera), samples, 0), camera.stray_light)
-    samples -= stray
+    stray = _stray(samples, why, camera) if camera.stray_light.stray_fraction else None
+    if stray is not None:
+        samples -= stray
     by_frequency = samples.reshape(-1, len(steps_deg), *why.shape)
     if camera.motion_sigmas:
         why[moved(by_frequency, steps_deg, camera) & (why == Why.VALID)] = Why.MOTION
@@ -63,9 +65,11 @@ def _ranged(raw: RawFrame, camera: CwCamera, method: Method, names: tuple[str, .
         why[several_ways(by_frequency, image.range_m, camera) & (image.why == Why.VALID) & (why == Why.VALID)] = (
             Why.MULTIPATH
         )
-    sigma_m = image.sigma_m * _more_noise(samples, stray, image.amplitude, camera)
     why = np.where(why == Why.VALID, image.why, why)
     why[: camera.pseudo_rows] = Why.SENSOR_FLAG
+    if stray is None:
+        return replace(image, why=why)
+    sigma_m = image.sigma_m * _more_noise(samples, stray, image.amplitude, camera)
     return replace(image, sigma_m=sigma_m.astype(np.float32), why=why)
 
 
@@ -77,28 +81,25 @@ def _refused(samples: Floats, camera: CwCamera) -> NDArray[np.uint8]:
         why[largest >= camera.full_scale_lsb] = Why.SATURATED
     if camera.lower_limit_lsb is not None:
         why[(smallest <= camera.lower_limit_lsb) & (why == Why.VALID)] = Why.SATURATED
-    why[~np.isfinite(smallest + largest)] = Why.NOT_FINITE
+    why[~(np.isfinite(smallest) & np.isfinite(largest))] = Why.NOT_FINITE
     return why
 
 
-def _lit(samples: Floats, why: NDArray[np.uint8], camera: CwCamera) -> NDArray[np.bool_]:
-    """Return where samples are light: not in rows of the sensor's own data, not of pixels that are no number."""
-    lit = np.broadcast_to(why != Why.NOT_FINITE, samples.shape).copy()
-    lit[:, : camera.pseudo_rows] = False
-    return lit
+def _stray(samples: Floats, why: NDArray[np.uint8], camera: CwCamera) -> Floats:
+    """Return the stray light in samples without black level; rows of the sensor's own data and NaN are no light."""
+    light = np.where(why != Why.NOT_FINITE, samples, np.float32(0))
+    light[:, : camera.pseudo_rows] = 0
+    return stray_light(light, camera.stray_light)
 
 
-def _more_noise(samples: Floats, stray: Floats, amplitude: Floats, camera: CwCamera) -> Floats | float:
+def _more_noise(samples: Floats, stray: Floats, amplitude: Floats, camera: CwCamera) -> Floats:
     """Return by what factor the shot noise of stray light, which is not taken out, raises the noise of a pixel."""
-    f = camera.stray_light.stray_fraction
-    if not f:
-        return 1.0
     level = light_level(samples, amplitude, camera)
     if camera.pixel == "single_ended":
         more = stray.mean(axis=0)
     else:
-        own = np.nan_to_num(amplitude)
-        more = (scatter(own, camera.stray_light) - own * np.float32(1 - f)) / np.float32(camera.demodulation_contrast)
+        own, straight = np.nan_to_num(amplitude), np.float32(1 - camera.stray_light.stray_fraction)
+        more = (scatter(own, camera.stray_light) - own * straight) / np.float32(camera.demodulation_contrast)
     before, after = (noise_of(each, camera) for each in (level, level + np.maximum(more, 0)))
     return np.asarray(np.sqrt(after / before))
 
