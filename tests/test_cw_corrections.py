@@ -1,6 +1,8 @@
 """Corrections of the continuous-wave camera that need no calibration of each pixel."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -345,3 +347,16 @@ def test_the_whole_chain_from_phases_leaves_a_wall_where_it_is_with_a_tenth_of_t
     assert abs(error.mean()) < 0.002
     assert np.mean(np.abs(error) < sigma) == pytest.approx(0.6827, abs=0.03)
     assert np.mean(np.abs(error) < 2 * sigma) == pytest.approx(0.9545, abs=0.03)
+
+
+DATA = Path(os.environ.get("RANGECAM_DATA", "")) / "cw_mlx75027" / "tools_scene.npz"
+
+
+@pytest.mark.skipif(not DATA.is_file(), reason="RANGECAM_DATA does not name a folder with cw_mlx75027")
+def test_the_samples_of_real_tools_at_rest_do_not_contradict_each_other():
+    """A real sensor's taps differ and its light is no sine: neither is taken for motion."""
+    from rangecam.io import open_source
+
+    source = open_source(DATA)
+    image = FOUR(next(iter(source.captures)).raw, replace(source.config.camera, motion_sigmas=3.0))
+    assert np.mean(image.why == Why.MOTION) < 0.001
