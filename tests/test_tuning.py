@@ -216,6 +216,18 @@ def test_two_sources_count_together(drifters: Paths, rng: np.random.Generator) -
     assert both.old.total == likelihood(drifters, PLAIN).total + likelihood(other, other.tracking).total
 
 
+def test_sources_with_different_models_are_tuned_each_by_its_own_noise(
+    drifters: Paths, rng: np.random.Generator
+) -> None:
+    walk = TrackingSettings(motion=MotionSettings(model="constant_velocity"))
+    other, _ = followed(drifting(2.0, 5, 30, rng), walk)
+    few = dataclasses.replace(drifters, frames=drifters.frames[:30])
+    found = tune([other, few])
+    assert found.parameters == (DRIFT, "tracking.motion.velocity_drift_mps")
+    assert found.best[0] == pytest.approx(tune([few]).best[0], rel=0.05)
+    assert found.best[1] == pytest.approx(tune([other]).best[0], rel=0.05)
+
+
 def test_what_the_range_does_not_hold_is_said_to_be_at_its_edge(drifters: Paths) -> None:
     found = tune([drifters], low=10.0, high=50.0)
     assert found.at_edge == (True,)

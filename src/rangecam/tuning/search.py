@@ -66,12 +66,12 @@ def tune(
 
     A grid in the logarithm from `low` to `high` first, so that no second maximum is taken for the first; then golden
     section and parabolas between its neighbours (Brent), of two parameters in turn. parameters: names as of
-    `with_values`; none: `process_noise` of the motion model. The standard deviations are from the curvature of the
+    `with_values`; none: `process_noise` of the motion models. The standard deviations are from the curvature of the
     likelihood: they hold if the motion model does.
     Raises UsageError for a number of parameters or a range that cannot be, or a parameter without effect, DataError
     where nothing was followed or no value explains it.
     """
-    names = tuple(parameters) or (process_noise(paths[0].tracking),)
+    names = tuple(parameters) or tuple(sorted({process_noise(one.tracking) for one in paths}))
     if len(names) not in _GRID or len(set(names)) < len(names):
         raise UsageError(f"{', '.join(names)}: expected one parameter, or two that differ")
     if not 0 < low < high < math.inf:
