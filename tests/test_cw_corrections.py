@@ -17,6 +17,7 @@ from rangecam.cw.ranging import cw_four_phase
 from rangecam.cw.scattering import scatter, stray_light
 from rangecam.cw.scattering_fit import fit_scattering
 from rangecam.errors import DataError, UsageError
+from rangecam.hdr import ranged
 from rangecam.scene.view import View
 from rangecam.types import RawFrame, Why
 
@@ -138,6 +139,23 @@ def test_without_settings_ranging_is_untouched():
     one, other = FOUR(raw, CAMERA), cw_four_phase(raw, CAMERA)
     for name in ("range_m", "sigma_m", "amplitude", "why"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_of_a_saturated_pixel_the_shortest_exposure_tells_the_stray_light():
+    """A white plate saturates the long exposure; without the short one two thirds of its stray light would stay."""
+    camera = load_config("scaled_car", {"camera": {"pseudo_rows": 0, "rows": 60, "columns": 80}}).camera
+    camera = replace(camera, scattering=STRAY, illumination_times_s=(1e-4, 16e-3), frame_rate_hz=5.0)
+    view, wall = target_before_wall(camera, wall_reflectivity=0.4)
+    raw = shot(view, camera)
+    error = {}
+    for lens in (Scattering(), STRAY):
+        image = ranged(FOUR, raw, replace(camera, stray_light=lens))
+        seen_wall = wall & image.valid & (image.amplitude > 20)
+        error[lens.stray_fraction] = abs(np.median(image.range_m[seen_wall]) - 3.0)
+    assert error[0.01] < 0.05 * error[0.0]
+    planes = {**raw.planes, "exposure_100us_phase_90": np.ones((3, 3), np.float32)}
+    with pytest.raises(DataError, match="shape"):
+        ranged(FOUR, RawFrame(0.0, planes), replace(camera, stray_light=STRAY))
 
 
 # --- the lens from a recording

@@ -14,6 +14,8 @@ from rangecam.errors import DataError
 from rangecam.types import Image, RangeImage, RawFrame, Why
 
 _EXPOSURE = re.compile(r"exposure_(\d+)us_(.+)")
+SHORTEST, SHORTEST_SHARE = "shortest_", "shortest_share"
+"""Planes beside those of an exposure: the same of the shortest one, and the shortest time over that of the exposure."""
 _AGREE = 3.0
 """Exposures that differ from the best by more than so many standard deviations saw something else: it moved."""
 
@@ -26,7 +28,18 @@ def ranged(method: Callable[..., RangeImage], raw: RawFrame, camera: Any) -> Ran
     if not next(iter(raw.planes)).startswith("exposure_"):
         return method(raw, camera)
     parts = exposures(raw)
-    return merge([method(part, camera) for part in parts.values()], list(parts))
+    images = [method(_beside_shortest(part, time_s, parts), camera) for time_s, part in parts.items()]
+    return merge(images, list(parts))
+
+
+def _beside_shortest(part: RawFrame, time_s: float, parts: Mapping[float, RawFrame]) -> RawFrame:
+    """Return the frame of one exposure with the samples of the shortest, which tell what a saturated pixel saw."""
+    shortest_s = min(parts)
+    if time_s == shortest_s:
+        return part
+    shortest = {SHORTEST + name: plane for name, plane in parts[shortest_s].planes.items()}
+    share = np.broadcast_to(np.float32(shortest_s / time_s), part.shape)
+    return RawFrame(part.time_s, {**part.planes, **shortest, SHORTEST_SHARE: share}, part.frame_id)
 
 
 def exposure_plane(time_s: float, plane: str) -> str:

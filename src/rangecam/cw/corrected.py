@@ -13,6 +13,7 @@ from rangecam.cw.scattering import scatter, stray_light
 from rangecam.cw.sequence import plane_names
 from rangecam.cw.settings import CwCamera
 from rangecam.errors import UsageError
+from rangecam.hdr import SHORTEST, SHORTEST_SHARE
 from rangecam.planes import plane_of
 from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
 
@@ -24,7 +25,7 @@ def corrected(method: Method) -> Method:
 
     Stray light is taken out of the samples, and its shot noise stays in sigma_m; where something moved a pixel is
     MOTION, where frequencies contradict each other MULTIPATH. Limits of the converter are judged before. A saturated
-    pixel is taken for as bright as it reads, so that its stray light is underestimated.
+    pixel is taken for as bright as it reads, which underestimates its stray light, unless a shorter exposure tells.
     Raises UsageError for a test that the camera's steps or frequencies do not allow, DataError for a missing or
     misshapen plane, and what the method raises.
     """
@@ -51,7 +52,7 @@ def _ranged(raw: RawFrame, camera: CwCamera, method: Method, names: tuple[str, .
     why = _refused(samples, camera)
     samples[:, why == Why.NOT_FINITE] = np.nan  # infinite minus infinite would warn
     samples -= np.float32(camera.black_level_lsb)
-    stray = _stray(samples, why, camera) if camera.stray_light.stray_fraction else None
+    stray = _stray(raw, names, samples, why, camera) if camera.stray_light.stray_fraction else None
     if stray is not None:
         samples -= stray
     by_frequency = samples.reshape(-1, len(steps_deg), *why.shape)
@@ -85,9 +86,17 @@ def _refused(samples: Floats, camera: CwCamera) -> NDArray[np.uint8]:
     return why
 
 
-def _stray(samples: Floats, why: NDArray[np.uint8], camera: CwCamera) -> Floats:
-    """Return the stray light in samples without black level; rows of the sensor's own data and NaN are no light."""
+def _stray(raw: RawFrame, names: tuple[str, ...], samples: Floats, why: NDArray[np.uint8], camera: CwCamera) -> Floats:
+    """Return the stray light in samples without black level; rows of the sensor's own data and NaN are no light.
+
+    Of a frame of several exposures a saturated pixel is as bright as the shortest one says.
+    """
     light = np.where(why != Why.NOT_FINITE, samples, np.float32(0))
+    if SHORTEST_SHARE in raw.planes:
+        saturated = why == Why.SATURATED
+        for plane, name in zip(light, names, strict=True):
+            shortest = plane_of(raw, SHORTEST + name, names)[saturated] - np.float32(camera.black_level_lsb)
+            plane[saturated] = np.nan_to_num(shortest / raw.planes[SHORTEST_SHARE][saturated])
     light[:, : camera.pseudo_rows] = 0
     return stray_light(light, camera.stray_light)
 
