@@ -7,14 +7,13 @@ from typing import Any, Literal
 import numpy as np
 
 from rangecam.calibration import Calibration, Recording, attach, begun, known_of
-from rangecam.cw.calibrated import PATTERN, TEMPERATURE, made_for
+from rangecam.cw.calibrated import PATTERN, TEMPERATURE, interval_m, made_for
 from rangecam.cw.effects import Scattering
 from rangecam.cw.noise_fit import fit_sample_noise, still_samples
 from rangecam.cw.ranging import cw_phases
 from rangecam.cw.scattering_fit import scattering
 from rangecam.cw.sequence import plane_name, single_frequencies
 from rangecam.cw.settings import CwCamera
-from rangecam.cw.unwrapping import combine
 from rangecam.cw.wiggling import unambiguous_m
 from rangecam.cw.wiggling_fit import Errors, WigglingFit, errors_of, fit_wiggling, mean_offset_m, mean_range
 from rangecam.errors import DataError
@@ -131,7 +130,7 @@ def pattern(recordings: Sequence[Recording], start: Calibration) -> Calibration:
     place of the known one, and tells nothing of the offset of all. Correct wiggling before. Pixels that no recording
     shows get none. Raises DataError if no pixel is valid.
     """
-    camera, period_m = _camera(recordings, start), _period_m(_camera(recordings, start))
+    camera, period_m = _camera(recordings, start), interval_m(_camera(recordings, start))
     absolute, relative, degrees = [], [], []
     for each in recordings:
         frames = [_without_planes(raw) for raw in each.frames]
@@ -164,7 +163,7 @@ def temperature(recordings: Sequence[Recording], start: Calibration) -> Calibrat
     valid pixel in common, UsageError where nothing says the temperature.
     """
     camera, first = replace(_camera(recordings, start), drift_m_per_k=0.0), None
-    period_m, degrees, shifts_m = _period_m(camera), [], []
+    period_m, degrees, shifts_m = interval_m(camera), [], []
     for each in recordings:
         for raw in each.frames:
             image = ranged(each.ranging, attach(raw, start), camera)
@@ -293,12 +292,6 @@ def _rows(fits: Sequence[WigglingFit], model: str, periods_m: Sequence[float]) -
             )
         rows.append((fit.values + (away_m if model == "table" else 0.0)).round(7).tolist())
     return rows
-
-
-def _period_m(camera: CwCamera) -> float:
-    if camera.modulations_hz:
-        return combine(camera.modulations_hz, camera.speed_of_light_mps).unambiguous_m
-    return unambiguous_m(camera)
 
 
 CALIBRATE: dict[str, Callable[..., Calibration]] = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.unwrapping import combine
-from rangecam.cw.wiggling import straightened, turned_back, unambiguous_m
+from rangecam.cw.wiggling import straightened, taken_off, turned_back, unambiguous_m
 from rangecam.errors import DataError
 from rangecam.types import Floats, RangeImage, RawFrame
 
@@ -51,47 +51,34 @@ def calibrated(method: Method) -> Method:
             image = method(raw, camera)
             if wiggles:
                 image = straightened(image, camera)
-        for name, correct in CORRECTIONS.items():
-            if name in raw.planes:
-                plane = np.asarray(raw.planes[name])
-                if plane.shape != image.shape:
-                    raise DataError(
-                        f"frame {raw.frame_id}: plane '{name}' has shape {plane.shape}; calibration needs {image.shape}"
-                    )
-                image = correct(image, plane, camera)
-        if camera.drift_m_per_k and TEMPERATURE not in raw.planes:
-            image = _without_drift(image, np.float32(camera.temperature_c), camera)
-        return image
+        off_m = _offsets_m(raw, image.shape, camera)
+        return image if off_m is None else replace(image, range_m=taken_off(image.range_m, off_m, interval_m(camera)))
 
     return with_calibration
 
 
-def _without_pattern(image: RangeImage, offset_m: Floats, camera: CwCamera) -> RangeImage:
-    """Return the ranges less the offset of each pixel."""
-    return replace(image, range_m=_wrapped(image.range_m - offset_m, camera))
+def _offsets_m(raw: RawFrame, shape: tuple[int, int], camera: CwCamera) -> Floats | None:
+    """Return what is to be taken off the ranges, a number or (H, W), m; None for nothing."""
+    off_m: Floats | None = None
+    if PATTERN in raw.planes:
+        off_m = _fitting(raw, PATTERN, shape)
+    if camera.drift_m_per_k:
+        known_c = _fitting(raw, TEMPERATURE, shape) if TEMPERATURE in raw.planes else np.float32(camera.temperature_c)
+        drift_m = np.float32(camera.drift_m_per_k) * (known_c - np.float32(camera.drift_reference_c))
+        off_m = np.asarray(drift_m if off_m is None else off_m + drift_m)
+    return off_m
 
 
-def _without_drift(image: RangeImage, temperature_c: Any, camera: CwCamera) -> RangeImage:
-    """Return the ranges less the drift at this temperature, a number or (H, W)."""
-    if not camera.drift_m_per_k:
-        return image
-    drift_m = camera.drift_m_per_k * (temperature_c - camera.drift_reference_c)
-    return replace(image, range_m=_wrapped(image.range_m - drift_m, camera))
-
-
-def _wrapped(range_m: Floats, camera: CwCamera) -> Floats:
-    """Return ranges (H, W) float32 in the unambiguous interval."""
-    if camera.modulations_hz:
-        period_m = combine(camera.modulations_hz, camera.speed_of_light_mps).unambiguous_m
-    else:
-        period_m = unambiguous_m(camera)
-    wrapped = np.mod(range_m, period_m).astype(np.float32)
-    result: Floats = np.where(wrapped >= np.float32(period_m), np.float32(0), wrapped)
+def _fitting(raw: RawFrame, name: str, shape: tuple[int, int]) -> Floats:
+    plane = np.asarray(raw.planes[name])
+    if plane.shape != shape:
+        raise DataError(f"frame {raw.frame_id}: plane '{name}' has shape {plane.shape}; calibration needs {shape}")
+    result: Floats = plane.astype(np.float32, copy=False)
     return result
 
 
-CORRECTIONS: dict[str, Callable[[RangeImage, Floats, CwCamera], RangeImage]] = {
-    PATTERN: _without_pattern,
-    TEMPERATURE: _without_drift,
-}
-"""What planes beside the samples correct, by name and in this order: (image, plane, camera) -> image."""
+def interval_m(camera: CwCamera) -> float:
+    """Return the unambiguous range of a camera, of all its modulation frequencies together."""
+    if camera.modulations_hz:
+        return combine(camera.modulations_hz, camera.speed_of_light_mps).unambiguous_m
+    return unambiguous_m(camera)

@@ -96,25 +96,54 @@ def straightened(image: RangeImage, camera: CwCamera) -> RangeImage:
     shape = image.shape
     range_m, sigma_m = np.empty(shape, np.float32), np.empty(shape, np.float32)
     numbers = np.array([camera.offset_m, unambiguous_m(camera)], np.float32)
-    _straighten(image.range_m, image.sigma_m, wiggling(camera)[0], numbers, range_m, sigma_m)
+    _straighten(
+        np.ascontiguousarray(image.range_m, np.float32),
+        np.ascontiguousarray(image.sigma_m, np.float32),
+        wiggling(camera)[0],
+        numbers,
+        range_m,
+        sigma_m,
+    )
     return replace(image, range_m=range_m, sigma_m=sigma_m)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _straighten(range_m: Any, sigma_m: Any, table: Any, numbers: Any, straight_m: Any, deviation_m: Any) -> None:
-    offset_m, period_m = numbers[0], numbers[1]
-    size, zero = np.float32(table.size - 2), np.float32(0)
+    offset_m, period_m, size = numbers[0], numbers[1], np.float32(table.size - 2)
+    zero, one, per_m = np.float32(0), np.float32(1), np.float32(1) / numbers[1]
+    place, slope = np.empty(range_m.shape[1], np.float32), size * per_m
+    for y in range(range_m.shape[0]):
+        measured, sigma, straight, deviation = range_m[y], sigma_m[y], straight_m[y], deviation_m[y]
+        for x in range(place.size):
+            turns = (measured[x] - offset_m) * per_m
+            turns -= np.floor(turns)
+            place[x] = size * turns if turns >= zero else zero  # NaN finds a place in the table, too
+        for x in range(place.size):
+            n = np.int32(place[x])
+            here = table[n]
+            step = table[n + 1] - here
+            value = measured[x] - (here + (place[x] - np.float32(n)) * step)
+            value -= period_m * np.floor(value * per_m)
+            straight[x] = zero if (value < zero) | (value >= period_m) else value
+            deviation[x] = sigma[x] * abs(one - step * slope)
+
+
+def taken_off(range_m: Floats, off_m: Floats, period_m: float) -> Floats:
+    """Return ranges (H, W) float32 less an offset that is the same for all, or (H, W), within the interval again."""
+    result = np.empty(range_m.shape, np.float32)
+    every = np.broadcast_to(np.asarray(off_m, np.float32), range_m.shape)
+    _take_off(np.ascontiguousarray(range_m, np.float32), every, np.float32(period_m), result)
+    return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _take_off(range_m: Any, off_m: Any, period_m: Any, result: Any) -> None:
+    zero, per_m = np.float32(0), np.float32(1) / period_m
     for y in range(range_m.shape[0]):
         for x in range(range_m.shape[1]):
-            value = range_m[y, x]
-            turns = (value - offset_m) / period_m
-            place = (turns - np.floor(turns)) * size
-            n = int(place) if place >= zero else 0  # NaN compares as false, and stays NaN
-            step = table[n + 1] - table[n]
-            value = value - (table[n] + (place - np.float32(n)) * step)
-            value = value - period_m * np.floor(value / period_m)
-            straight_m[y, x] = zero if value >= period_m else value
-            deviation_m[y, x] = sigma_m[y, x] * abs(np.float32(1) - step * size / period_m)
+            value = range_m[y, x] - off_m[y, x]
+            value -= period_m * np.floor(value * per_m)
+            result[y, x] = zero if (value < zero) | (value >= period_m) else value
 
 
 def turned_back(raw: RawFrame, camera: CwCamera) -> tuple[RawFrame, Floats]:
