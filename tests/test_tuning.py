@@ -125,6 +125,7 @@ def test_the_likelihood_is_the_joint_density_of_all_measurements_after_the_first
             z = places[times, i, axis]
             total += multivariate_normal(np.full(len(steps), z[0]), joint).logpdf(z[1:])
     score = likelihood(paths, settings)
+    assert paths.gap == 2
     assert score.measurements == 9 + 10 - 1 + 2 - 0 - 1  # seen 11 and 10 times, without the first of each
     assert score.total == pytest.approx(total, rel=1e-7)
 
@@ -155,13 +156,17 @@ def test_a_gate_of_certainty_is_a_thousand_standard_deviations_wide() -> None:
     assert len(update_tracks(tracks, segments([far, 0, 0]), FRAME_S, settings)) == 1
 
 
+def jumping(paths: Paths, from_frame: int, to_frame: int) -> Paths:
+    """Return paths of which some frames are 500 m off."""
+    starts = np.concatenate([[0], paths.ends])
+    moved = paths.segments.position_m.copy()
+    moved[starts[from_frame] : starts[to_frame]] += 500.0
+    return dataclasses.replace(paths, segments=dataclasses.replace(paths.segments, position_m=moved))
+
+
 def test_what_a_thousand_standard_deviations_cannot_explain_has_no_likelihood() -> None:
-    places = np.zeros((6, 1, 3))
-    paths, _ = followed(places, PLAIN)
-    jumped = [
-        (t, dataclasses.replace(s, position_m=s.position_m + (k > 3) * 500.0)) for k, (t, s) in enumerate(paths.frames)
-    ]
-    assert likelihood(dataclasses.replace(paths, frames=jumped), PLAIN).total == -math.inf
+    paths, _ = followed(np.zeros((6, 1, 3)), PLAIN)
+    assert likelihood(jumping(paths, 4, 6), PLAIN).total == -math.inf
 
 
 def test_only_confirmed_tracks_count_and_late_frames_do_not(rng: np.random.Generator) -> None:
@@ -170,10 +175,11 @@ def test_only_confirmed_tracks_count_and_late_frames_do_not(rng: np.random.Gener
     seen[2:, 0] = False  # seen twice only
     paths, _ = followed(places, PLAIN, seen)
     assert paths.count == 2
-    assert all(len(one) == 2 for _, one in paths.frames)
+    assert paths.ends.tolist() == list(range(2, 21, 2))
     tracks = update_tracks(Tracks.empty(), segments(places[0]), 1.0, PLAIN)
     late = SimpleNamespace(tracks=tracks, segments=segments(places[0][:1]), image=SimpleNamespace(time_s=0.5))
-    assert paths_of("late", [late], PLAIN).frames == []  # type: ignore[list-item]
+    with pytest.raises(DataError, match="late: no frame"):
+        paths_of("late", [late], PLAIN)  # type: ignore[list-item]
 
 
 # -- the search -------------------------------------------------------------------------------------------------------
@@ -216,12 +222,10 @@ def test_two_sources_count_together(drifters: Paths, rng: np.random.Generator) -
     assert both.old.total == likelihood(drifters, PLAIN).total + likelihood(other, other.tracking).total
 
 
-def test_sources_with_different_models_are_tuned_each_by_its_own_noise(
-    drifters: Paths, rng: np.random.Generator
-) -> None:
+def test_sources_with_different_models_are_tuned_each_by_its_own_noise(rng: np.random.Generator) -> None:
     walk = TrackingSettings(motion=MotionSettings(model="constant_velocity"))
     other, _ = followed(drifting(2.0, 5, 30, rng), walk)
-    few = dataclasses.replace(drifters, frames=drifters.frames[:30])
+    few, _ = followed(drifting(2.0, 5, 30, rng), PLAIN)
     found = tune([other, few])
     assert found.parameters == (DRIFT, "tracking.motion.velocity_drift_mps")
     assert found.best[0] == pytest.approx(tune([few]).best[0], rel=0.05)
@@ -299,11 +303,8 @@ def test_nothing_followed_and_nothing_explained_are_errors_of_the_data() -> None
         tune([nobody])
     settings = dataclasses.replace(PLAIN, speed_sigma_mps=0.01, acceleration_sigma_mps2=0.01)
     paths, _ = followed(np.zeros((8, 1, 3)), settings)
-    jumped = [
-        (t, dataclasses.replace(s, position_m=s.position_m + 400.0 * (k % 2))) for k, (t, s) in enumerate(paths.frames)
-    ]
     with pytest.raises(DataError, match="no value in the range"):
-        tune([dataclasses.replace(paths, frames=jumped)], low=0.01, high=0.1)
+        tune([jumping(paths, 3, 5)], low=0.01, high=0.1)
 
 
 # -- who works --------------------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ def tune(
     with tuning.workers(_cores(len(sources)) if jobs is None else jobs, scheduler) as executor:
         follow, search = (tuning.mapping(executor, partial(_watch, what)) for what in ("sources", "values"))
         paths = tuning.follow_all(sources, preset, layers, seed, follow)
-        for note in (f"{one.name}: {note}" for one in paths for note in one.notes):
+        for note in (note for one in paths for note in one.notes):
             print(f"rangecam: note: {note}", file=sys.stderr)
         tuned = tuning.tune(paths, parameter, low, high, search)
     if target is not None:

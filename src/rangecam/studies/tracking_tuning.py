@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rangecam import tuning
 from rangecam.metrics import amse
 from rangecam.motion import MotionSettings
 from rangecam.studies.study import Claim, Panel, Series, Study, derived, judged, printed
 from rangecam.studies.tracking_models import side_by_side
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.tuning import Paths, aside, tune
 from rangecam.types import Floats, Segments, Tracks
 
 STEPS_MPS2 = (0.01, 0.1, 1.0, 10.0, 100.0)
@@ -155,7 +155,7 @@ def _over_sigma_w(name: str, path: Path, rng: np.random.Generator) -> tuple[list
         share = lag if is_lag else 1 - lag
         why = "more than nine tenths of the AMSE of x: the best sigma_w is where both balance"
         claims.append(judged(id, f"{of}: share of {what} {step:g} m/s2", None, share, "", share > 0.9, why))
-    chosen = tune([_paths(way, frames)]).best[0]
+    chosen = tuning.tune([_paths(way, frames)]).best[0]
     claims.append(derived(id, f"{of}: most likely sigma_w", chosen, "m/s2", "by the innovations, without the truth"))
     shown = [Series(q, _FINE_MPS2, fine[:, k] / fine[:, k].min()) for k, q in enumerate(_QUANTITIES)]
     shown += [Series("", STEPS_MPS2, five[:, k] / fine[:, k].min(), line="o", colour=k) for k in range(3)]
@@ -286,8 +286,6 @@ def _measured(way: Way, sigma_m: float, rng: np.random.Generator) -> list[Segmen
     return frames_of(way.state[:, 0] + sigma_m * rng.standard_normal((_RUNS, len(way.time_s))), sigma_m)
 
 
-def _paths(way: Way, frames: list[Segments]) -> Paths:
+def _paths(way: Way, frames: list[Segments]) -> tuning.Paths:
     """Return the runs as the paths of as many tracks."""
-    every = [(k + 1, k) for k in range(_RUNS)]
-    steps = [(float(time_s), aside(frame, every)) for time_s, frame in zip(way.time_s, frames, strict=True)]
-    return Paths("runs", _tracking(1.0), _RUNS, steps)
+    return tuning.side_by_side("runs", list(zip(way.time_s.tolist(), frames, strict=True)), _tracking(1.0))

@@ -11,7 +11,7 @@ well and says truly how well: too little noise makes the innovations too unlikel
 """
 
 from rangecam.tuning.names import process_noise, value_of, with_values
-from rangecam.tuning.paths import Likelihood, Paths, aside, follow, likelihood, paths_of
+from rangecam.tuning.paths import Likelihood, Paths, follow, likelihood, paths_of, side_by_side
 from rangecam.tuning.search import Tuned, follow_all, toml_of, tune
 from rangecam.tuning.workers import mapping, workers
 
@@ -19,13 +19,13 @@ __all__ = [
     "Likelihood",
     "Paths",
     "Tuned",
-    "aside",
     "follow",
     "follow_all",
     "likelihood",
     "mapping",
     "paths_of",
     "process_noise",
+    "side_by_side",
     "toml_of",
     "tune",
     "value_of",

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rangecam.errors import DataError
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.types import POSITION, VELOCITY, Floats, Frame, Segments, Tracks, TrackStatus
+from rangecam.types import POSITION, VELOCITY, Floats, Frame, Ints, Segments, Tracks, TrackStatus
 from rangecam.values import value
 
 _APART_M = 1e6  # the paths are filtered side by side, so far apart that none can be taken for another
@@ -17,16 +18,20 @@ _ROWS, _COLUMNS = np.ix_(POSITION, POSITION)
 
 @value
 class Paths:
-    """What the confirmed tracks of a source took, frame by frame, and the settings that they were followed with.
+    """What the confirmed tracks of a source took, and the settings that they were followed with.
 
-    frames: time_s and segments, each numbered by its path (label 1..count) and moved aside by its number times 1000 km.
-    notes: what the source has to say.
+    count: of the paths. gap: most frames in a row in which one was not seen. time_s (F,): of the frames; ends (F,): how
+    many rows of `segments` there are up to each. The segments are numbered by their path (label 1..count) and moved
+    aside by its number times 1000 km. notes: what the source has to say.
     """
 
     name: str
     tracking: TrackingSettings
     count: int
-    frames: Sequence[tuple[float, Segments]]
+    gap: int
+    time_s: Floats
+    ends: Ints
+    segments: Segments
     notes: tuple[str, ...] = ()
 
 
@@ -66,16 +71,34 @@ def paths_of(name: str, frames: Iterable[Frame], tracking: TrackingSettings, not
     steps = []
     for time_s, segments, ids, rows in taken:
         kept = [(number[i], row) for i, row in zip(ids.tolist(), rows, strict=True) if i in number]
-        steps.append((time_s, aside(segments, kept)))
-    return Paths(name, tracking, len(number), steps, notes)
+        numbers, picked = np.array(kept, int).reshape(-1, 2).T
+        steps.append((time_s, dataclasses.replace(_part(segments, picked), label=numbers)))
+    return side_by_side(name, steps, tracking, notes)
 
 
-def aside(segments: Segments, kept: Sequence[tuple[int, int]]) -> Segments:
-    """Return rows of the segments, (number of the path, row) each, numbered and moved aside as `Paths` has them."""
-    numbers, rows = np.array(kept, int).reshape(-1, 2).T
-    arrays = {key: array[rows] for key, array in vars(segments).items()}
-    aside = np.outer(numbers, [0.0, _APART_M, 0.0])
-    return Segments(**{**arrays, "label": numbers, "position_m": arrays["position_m"] + aside})
+def side_by_side(
+    name: str, steps: Sequence[tuple[float, Segments]], tracking: TrackingSettings, notes: tuple[str, ...] = ()
+) -> Paths:
+    """Return the paths of segments whose labels are the numbers of their paths, 1..count, frame by frame.
+
+    Raises DataError if there is no frame.
+    """
+    if not steps:
+        raise DataError(f"{name}: no frame that could be followed")
+    every = [vars(segments) for _, segments in steps]
+    joined = Segments(**{key: np.concatenate([one[key] for one in every]) for key in every[0]})
+    sizes = [len(segments) for _, segments in steps]
+    order, frame = np.argsort(joined.label, kind="stable"), np.repeat(np.arange(len(steps)), sizes)
+    same = np.diff(joined.label[order]) == 0
+    gap = int(np.max(np.diff(frame[order])[same], initial=1)) - 1
+    aside = np.outer(joined.label, [0.0, _APART_M, 0.0])
+    moved = dataclasses.replace(joined, position_m=joined.position_m + aside)
+    times = np.array([time_s for time_s, _ in steps])
+    return Paths(name, tracking, int(np.max(joined.label, initial=0)), gap, times, np.cumsum(sizes), moved, notes)
+
+
+def _part(segments: Segments, which: Any) -> Segments:
+    return Segments(**{key: array[which] for key, array in vars(segments).items()})
 
 
 def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
@@ -92,12 +115,13 @@ def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
         gate_probability=1.0,
         association="global",
         confirm_hits=1,
-        max_misses=10**9,
+        max_misses=paths.gap + 1,  # one more for the step without any segment
         max_position_sigma_m=_APART_M / 2000,
     )
     tracks, innovations, covariances = Tracks.empty(), [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
-    nothing, measured = _noise(paths, settings)
-    for (time_s, segments), R in zip(paths.frames, measured, strict=True):
+    nothing, noise = _part(paths.segments, slice(0)), _noise(paths, settings)
+    for time_s, start, end in zip(paths.time_s.tolist(), [0, *paths.ends[:-1]], paths.ends, strict=True):
+        segments, R = _part(paths.segments, slice(start, end)), noise[start:end]
         predicted = update_tracks(tracks, nothing, time_s, settings)
         tracks = update_tracks(tracks, segments, time_s, settings)
         row = np.full(paths.count + 1, -1)
@@ -114,14 +138,10 @@ def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
     return _of_innovations(np.concatenate(innovations), np.concatenate(covariances))
 
 
-def _noise(paths: Paths, settings: TrackingSettings) -> tuple[Segments, list[Floats]]:
-    """Return no segment, and for each frame the covariances (N, 3, 3) of its measurements as the tracker takes them."""
-    every = [vars(segments) for _, segments in paths.frames]
-    joined = Segments(**{key: np.concatenate([one[key] for one in every]) for key in every[0]})
-    born = update_tracks(Tracks.empty(), joined, 0.0, settings).covariance[:, _ROWS, _COLUMNS]
-    ends = np.cumsum([len(segments) for _, segments in paths.frames])
-    nothing = Segments(**{key: array[:0] for key, array in vars(joined).items()})
-    return nothing, np.split(born, ends[:-1])
+def _noise(paths: Paths, settings: TrackingSettings) -> Floats:
+    """Return the covariances (N, 3, 3) of the measurements as the tracker takes them."""
+    born = update_tracks(Tracks.empty(), paths.segments, 0.0, settings)
+    return born.covariance[:, _ROWS, _COLUMNS]
 
 
 def _of_innovations(innovation: Floats, S: Floats) -> Likelihood:
