@@ -280,6 +280,20 @@ def test_ranges_that_nobody_knows_do_not_calibrate(wiggly):
         fit_wiggling([errors_of(nothing, one, nothing, 8.8175)], 8.8175)
 
 
+def test_ranges_by_another_instrument_serve_as_well_as_known_distances(wiggly, wiggly_walls):
+    by_distance = CALIBRATE["wiggling"](wiggly_walls, Calibration({}))
+    targets = []
+    for each in wiggly_walls:
+        reference_m = wall(each.known, wiggly).range_m[0].copy()
+        reference_m[0, :5] = 0.0  # the instrument saw nothing there
+        frames = [replace(raw, planes={**raw.planes, "reference_range_m": reference_m}) for raw in each.frames]
+        targets.append(replace(each, frames=frames, known=None))
+    by_reference = CALIBRATE["wiggling"](targets, Calibration({}))
+    one, other = (np.array(each.settings["wiggling_table_m"]) for each in (by_distance, by_reference))
+    np.testing.assert_allclose(other, one, atol=1e-3)
+    assert not np.array_equal(one, other)
+
+
 def test_a_mean_of_ranges_is_right_across_the_wrap_and_needs_half_of_the_images():
     def image(range_m, why=0):
         plane = np.full((1, 2), range_m, np.float32)
