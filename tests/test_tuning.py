@@ -15,6 +15,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from rangecam.cli import main
+from rangecam.cli.tune import _describe
 from rangecam.errors import DataError, UsageError
 from rangecam.motion import MOTION, Mode, MotionSettings
 from rangecam.tracking import TrackingSettings, update_tracks
@@ -370,6 +371,13 @@ def test_the_command_tunes_a_scenario_and_draws_the_likelihood(
     assert f"{DRIFT}: 0.3 -> {found['tuned']:.2g}" in out
     assert out.splitlines()[-1] == f"figure     {figure}"
     assert "NIS" in out
+
+
+def test_the_lines_for_people_say_what_differs_and_what_is_at_the_edge(drifters: Paths) -> None:
+    other = dataclasses.replace(drifters, tracking=with_values(PLAIN, {DRIFT: 5.0}))
+    lines = _describe(tune([drifters, other], low=0.01, high=0.5), [drifters, other])
+    assert f"{DRIFT}: one each -> 0.498 (at the edge of the range tried)" in lines
+    assert lines.startswith("test: 40 confirmed tracks")
 
 
 def test_following_a_source_is_the_same_anywhere() -> None:

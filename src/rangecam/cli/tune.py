@@ -111,15 +111,17 @@ def _nis(score: Any) -> float:
 
 
 def _describe(tuned: "Tuned", paths: "list[Paths]") -> str:
+    from rangecam.summary import count
     from rangecam.tuning import toml_of
 
-    lines = [f"{one.name}: {one.count} confirmed tracks" for one in paths]
+    lines = [f"{one.name}: {count(one.count, 'confirmed track')}" for one in paths]
     lines.append(f"measured   {tuned.new.measurements} times after the first of each track")
     for name, before, now, sigma, edge in zip(
         tuned.parameters, tuned.before, tuned.best, tuned.sigma, tuned.at_edge, strict=True
     ):
         certain = "at the edge of the range tried" if edge else f"+- {100 * sigma:.0f} %, if the motion model holds"
-        lines.append(f"{name}: {before:g} -> {now:g} ({certain})")
+        was = "one each" if math.isnan(before) else f"{before:g}"
+        lines.append(f"{name}: {was} -> {now:g} ({certain})")
     each = [score.total / max(score.measurements, 1) for score in (tuned.old, tuned.new)]
     lines.append(f"likelihood {each[0]:.4g} -> {each[1]:.4g} (logarithm, a measurement)")
     lines.append(f"NIS        {_nis(tuned.old):.2f} -> {_nis(tuned.new):.2f} (1: errors are as large as sigma says)")
