@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from rangecam.clean import clean
 from rangecam.config import load_config, parse
 from rangecam.cw import RANGING, CwCamera, simulate
 from rangecam.cw.light import correlate
@@ -395,14 +396,15 @@ def test_lens_of_the_camera_shapes_the_light():
     assert reference_amplitude(narrow, (9, 9)).min() > 0.9 * narrow.reference_amplitude_lsb
 
 
-def test_a_real_recording_gives_the_range_of_its_camera():
+def test_a_real_recording_gives_the_range_of_its_camera_and_keeps_its_good_pixels():
     folder = os.environ.get("RANGECAM_DATA")
     if folder is None:
         pytest.skip("RANGECAM_DATA does not name the folder of recordings")
     recording = np.load(Path(folder) / "cw_mlx75027" / "tools_scene.npz")
     facts = {"modulation_hz": float(recording["modulation_hz"]), "phase_sign": int(recording["phase_sign"])}
-    camera = load_config("generic_cw", {"camera": facts}).camera
-    image = cw_four_phase(RawFrame(0.0, {name: recording[name] for name in PLANES}), camera)
+    config = load_config("generic_cw", {"camera": facts})
+    measured = cw_four_phase(RawFrame(0.0, {name: recording[name] for name in PLANES}), config.camera)
+    image = clean(measured, config.camera.lens, config.mounting, config.clean)
     good = (recording["camera_amplitude"] > 100) & (recording["camera_amplitude"] < 2800)
     used = good & image.valid & (recording["camera_range_m"] > 0)
     assert used.sum() >= 0.97 * good.sum()
