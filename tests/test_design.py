@@ -12,7 +12,7 @@ from rangecam.cli import main
 from rangecam.config import load_config, parse
 from rangecam.design.analysis import distances_m
 from rangecam.design.experiment import TRIED_FROM_M, expected_sigma_m, measure, observe, reach_m, regions
-from rangecam.design.facts import eye_safety, facts, field_of_view_deg, pulsed_light
+from rangecam.design.facts import eye_safety, facts, field_of_view_deg, pulsed_light, unwrapping
 from rangecam.design.families import DESIGNED, finite, quiet
 from rangecam.design.figures import accuracy, light, spread_and_bias
 from rangecam.design.limits import find_limits, passes, saturated_below_m
@@ -592,3 +592,18 @@ def test_targets_are_spread_over_the_measurement_range_unless_they_are_listed():
 def test_a_plan_is_checked():
     with pytest.raises(UsageError, match="reflectivities"):
         parse(Plan, {"reflectivities": []}, "--plan")
+
+
+def test_of_several_frequencies_a_design_says_how_far_and_how_surely_they_reach():
+    two = load_config("scaled_car", {"camera": {"modulations_hz": [60e6, 80e6]}, "ranging": "cw_multi_frequency"})
+    few = replace(SMALL, distances_m=(2.0,))
+    lines = design.describe([design.judge("two", two, few)])
+    assert f"60 + 80 MHz, unambiguous to {SPEED_OF_LIGHT / 2 / 20e6:.4g} m" in lines
+    rows = unwrapping(two.camera)["at"]
+    assert [row["gross"] for row in rows] == sorted(row["gross"] for row in rows)
+    assert all(row["accepted_gross"] <= row["gross"] for row in rows)
+    three = load_config("kinect2_like").camera
+    assert "rejected" not in unwrapping(three)["at"][0]
+    one_mm = SPEED_OF_LIGHT / (4 * np.pi * 1e6) * 0.1 * 1000
+    expected = one_mm / np.sqrt(80**2 + 16**2 + 120**2)
+    assert 1000 * unwrapping(three)["at"][1]["sigma_m"] == pytest.approx(expected, rel=1e-6)

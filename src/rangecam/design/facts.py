@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 
 from rangecam.config import Config
+from rangecam.cw import CwCamera
+from rangecam.cw.unwrapping import accepted_error_probability, combine, combined_sigma_m, gross_error_probability
 from rangecam.design.families import DESIGNED, AnyCamera, finite
 from rangecam.design.settings import Plan
 from rangecam.errors import UsageError
@@ -25,6 +27,7 @@ from rangecam.types import RawFrame
 EYE_DISTANCES_M = (0.1, 0.3, 1.0)
 _FOOTPRINTS = 4
 _NEAR_TO_FAR = 10.0
+_PHASE_SIGMAS_RAD = (0.05, 0.1, 0.2)
 
 
 def field_of_view_deg(camera: AnyCamera) -> tuple[float, float]:
@@ -62,11 +65,34 @@ def facts(config: Config, plan: Plan, reach: tuple[float, float], raw: RawFrame)
             for at_m in (np.linspace(0, reach[1], _FOOTPRINTS + 1)[1:].tolist() if math.isfinite(reach[1]) else ())
         ],
     }
+    if isinstance(camera, CwCamera) and camera.modulations_hz:
+        result["unwrapping"] = unwrapping(camera)
     if isinstance(camera, PulsedCamera):
         result["eye_safety"] = eye_safety(camera, plan)
         if camera.readout == "shutters":
             result["light"] = pulsed_light(camera, plan, reach)
     return result
+
+
+def unwrapping(camera: CwCamera) -> dict[str, Any]:
+    """Return what several frequencies come to: unambiguous range, and at some phase noises sigma and error rates.
+
+    The noise is the same at every frequency. gross: that the likeliest wraps are wrong; for two frequencies also what
+    the camera's `unwrap_error` accepts of it, and what it rejects.
+    """
+    together = combine(camera.modulations_hz, camera.speed_of_light_mps)
+    count, at = len(camera.modulations_hz), []
+    for sigma_rad in _PHASE_SIGMAS_RAD:
+        sigmas = [sigma_rad] * count
+        row = {
+            "phase_sigma_rad": sigma_rad,
+            "sigma_m": combined_sigma_m(sigmas, together),
+            "gross": gross_error_probability(sigmas, together),
+        }
+        if count == 2:
+            row["accepted_gross"], row["rejected"] = accepted_error_probability(sigmas, together, camera.unwrap_error)
+        at.append(row)
+    return {"modulations_hz": list(camera.modulations_hz), "unambiguous_m": together.unambiguous_m, "at": at}
 
 
 def pulsed_light(camera: PulsedCamera, plan: Plan, reach: tuple[float, float]) -> dict[str, Any]:

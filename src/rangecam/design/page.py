@@ -65,10 +65,22 @@ def _numbers(design: Design) -> list[str]:
             f"{100 * f['width_m']:.3g} x {100 * f['height_m']:.3g} cm at {f['range_m']:.3g} m"
             for f in n["pixel_footprints"]
         ),
+        *(_unwrapping(n["unwrapping"]) if "unwrapping" in n else []),
         *(_light(n["light"]) if "light" in n else []),
         *(_eye(n["eye_safety"]) if "eye_safety" in n else []),
         *(f"warning            {text}" for text in design.warnings),
     ]
+    return lines
+
+
+def _unwrapping(n: dict[str, Any]) -> list[str]:
+    together = " + ".join(f"{hertz / 1e6:g}" for hertz in n["modulations_hz"])
+    lines = [f"unwrapping         {together} MHz, unambiguous to {n['unambiguous_m']:.4g} m"]
+    for row in n["at"]:
+        rates = f"{row['gross']:.2g} of the pixels with wrong wraps"
+        if "rejected" in row:
+            rates += f"; {row['accepted_gross']:.2g} accepted, {row['rejected']:.2g} rejected"
+        lines.append(f"{'':19}{row['phase_sigma_rad']:g} rad of noise: {1000 * row['sigma_m']:.3g} mm, {rates}")
     return lines
 
 
