@@ -13,11 +13,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.stats import norm
 
+import rangecam.clean
 from rangecam.cameras.simulated import frames
 from rangecam.clean import FILTERS, STAGES, CleanSettings, clean, clean_stages, shared_noise_pixels
 from rangecam.clean.limits import area_of_interest, fit_floor, floor_limit, reference_amplitude
 from rangecam.clean.median import median
 from rangecam.clean.neighbours import Kept
+from rangecam.clean.onepass import WIDEST
 from rangecam.config import load_config
 from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
 from rangecam.pipeline import RANGING
@@ -267,6 +269,63 @@ def test_pixels_skipped_because_they_see_the_floor_are_those_that_the_floor_refu
     assert_array_equal(result.why, np.where(sees_floor, Why.FLOOR, whole.why))
     for name in ("range_m", "sigma_m"):
         assert_array_equal(getattr(result, name)[result.valid], getattr(whole, name)[result.valid])
+
+
+def scattered(seed, shape, missing):
+    """Return an image of a floor with steps, holes, and noise and light that differ from pixel to pixel."""
+    rng = np.random.default_rng(seed)
+    limit = floor_limit(np.ones(shape), np.zeros(shape, np.uint8), WIDE, RAISED, CleanSettings(floor="mounting"))
+    sigma = rng.uniform(0.005, 0.05, shape) * rng.choice([1, 3])
+    steps = np.where(rng.random((shape[0] // 5 + 1, shape[1] // 7 + 1)) < 0.5, 1.5, 1.1).repeat(5, 0).repeat(7, 1)
+    range_m = np.minimum(limit, 4.0) * steps[: shape[0], : shape[1]] * rng.uniform(0.6, 1.0)
+    why = np.where(rng.random(shape) < missing, Why.SATURATED, 0)
+    range_m = np.where((why != 0) & (rng.random(shape) < 0.5), np.nan, range_m + sigma * rng.standard_normal(shape))
+    return image(range_m, sigma, rng.uniform(1, 100, shape), why)
+
+
+RAISED = Mounting(z_m=0.5)
+
+
+@given(
+    st.integers(0, 10_000),
+    st.tuples(st.integers(1, 30), st.integers(1, 70)),
+    st.sampled_from([0.0, 0.02, 0.3, 0.95, 1.0]),
+    st.fixed_dictionaries(
+        {
+            "floor": st.sampled_from(["off", "mounting"]),
+            "window": st.sampled_from(["3x1", "3x3"]),
+            "median_across_edges": st.booleans(),
+            "min_neighbours": st.integers(0, 8),
+            "discard_border": st.booleans(),
+            "reject_flying": st.booleans(),
+            "amplitude_threshold": st.sampled_from([0.0, 0.05]),
+            "wrap_threshold": st.sampled_from([0.0, 0.5]),
+            "x_max_m": st.sampled_from([None, 1.5]),
+        }
+    ),
+)
+@settings(max_examples=150, deadline=None)
+def test_one_pass_gives_bit_for_bit_what_the_stages_give_one_after_the_other(seed, shape, missing, changes):
+    source = scattered(seed, shape, missing)
+    with pytest.MonkeyPatch.context() as patch:
+        quick = cleaned(source, WIDE, RAISED, **changes)
+        patch.setattr(rangecam.clean, "WIDEST", 0)
+        stages = cleaned(source, WIDE, RAISED, **changes)
+    assert_array_equal(quick.why, stages.why)
+    for name in ("range_m", "sigma_m"):
+        assert_array_equal(getattr(quick, name)[quick.valid], getattr(stages, name)[quick.valid])
+        assert_array_equal(getattr(quick, name)[~source.valid], getattr(source, name)[~source.valid])
+
+
+@pytest.mark.parametrize("columns", [WIDEST - 1, WIDEST, WIDEST + 1])
+def test_an_image_of_any_width_is_cleaned_as_its_left_and_right_part_are(columns):
+    source = wall((12, columns), sigma_m=0.05)
+    result = cleaned(source)
+    for part in (np.s_[:, :600], np.s_[:, 500:]):
+        alone = cleaned(image(source.range_m[part], 0.05))
+        inner = np.s_[:, 3:-3]
+        for name in ("range_m", "sigma_m", "why"):
+            assert_array_equal(getattr(alone, name)[inner], getattr(result, name)[part][inner])
 
 
 def test_median_does_not_fill_what_is_invalid():

@@ -12,11 +12,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from rangecam.clean.filters import FILTERS, shared_noise_pixels
 from rangecam.clean.flying import flying
 from rangecam.clean.limits import area_of_interest, cut, floor_limit, neighbours_needed, weakest_amplitudes
 from rangecam.clean.neighbours import Kept, judge
+from rangecam.clean.onepass import WIDEST, clean_in_one_pass
 from rangecam.clean.settings import CleanSettings
 from rangecam.clean.temporal import settle
 from rangecam.geometry import Lens, Mounting
@@ -46,12 +48,17 @@ def clean(
     the image as it came (Steinbäck 2016, alg 4.2); the filter takes what they left; floor and area of interest are cut
     from its result. before: what this function returned for the last frame, for the average over time.
     """
-    why = np.ascontiguousarray(image.why)
+    why = np.ascontiguousarray(image.why, np.uint8)
     range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
     amplitude = np.ascontiguousarray(image.amplitude, np.float32)
-    least, needed, floor, near, far = _known_limits(lens, mounting, why.shape, settings)
     if settings.reject_flying:
         why = flying(range_m, sigma_m, why, settings)
+    if _at_once(why.shape, settings, before):
+        limits = _all_limits(lens, mounting, why.shape, settings)
+        planes = range_m, sigma_m, amplitude
+        range_m, sigma_m, why = clean_in_one_pass(planes, why, limits, settings)
+        return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
+    least, needed, floor, near, far = _known_limits(lens, mounting, why.shape, settings)
     why, around = judge((range_m, sigma_m, amplitude), why, least, needed, settings)
     if settings.filter != "off":
         kept = Kept(range_m, sigma_m, amplitude, why, around, floor)
@@ -62,6 +69,20 @@ def clean(
         floor = floor_limit(range_m, why, lens, mounting, settings)
     why = cut(range_m, sigma_m, why, (floor, near, far), settings)
     return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
+
+
+def _at_once(shape: tuple[int, ...], settings: CleanSettings, before: RangeImage | None) -> bool:
+    """Return whether nothing comes between median and cut, and the image is not too wide: then one pass does it all."""
+    alone = settings.temporal_frames <= 1 or before is None
+    return settings.filter == "median" and settings.floor != "fit" and alone and shape[1] <= WIDEST
+
+
+@lru_cache(maxsize=16)
+def _all_limits(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: CleanSettings) -> Floats:
+    """Return the limits as planes (7, H, W) float32, in the order of `onepass`."""
+    (weakest, wrapped), needed, floor, near, far = _known_limits(lens, mounting, shape, settings)
+    farthest = maximum_filter(floor, 3, mode="nearest")
+    return np.stack([weakest, wrapped, needed, floor, farthest, near, far], dtype=np.float32)
 
 
 @lru_cache(maxsize=16)

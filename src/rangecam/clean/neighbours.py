@@ -69,12 +69,12 @@ def judge(
     reason = why.astype(np.uint8)
     came = np.empty((height + 2 * RIM, width + 2 * RIM), np.float32)
     around = np.empty((3, height + 2 * RIM, width + 2 * RIM), np.float32)
-    _refuse(planes, amplitudes, needed, _tolerance(settings), came, around, reason)
+    _refuse(planes, amplitudes, needed, tolerance_rules(settings), came, around, reason)
     return reason, around
 
 
 @lru_cache(maxsize=16)
-def _tolerance(settings: CleanSettings) -> Floats:
+def tolerance_rules(settings: CleanSettings) -> Floats:
     """Return the reach of a pixel: a constant and a factor of its sigma."""
     return np.array(
         [settings.neighbour_tolerance_m / 2, settings.neighbour_tolerance_sigmas / math.sqrt(2)], np.float32
