@@ -16,7 +16,8 @@ from rangecam.settings import NonNegative, Positive, PositiveInt, settings
 
 Table = tuple[str, ...]
 
-_SIGNALS = ("Phi1", "Phi2", "Phi3", "Phi4", "Phi5", "Phi6", "Phi7", "laser")
+SIGNALS = ("Phi1", "Phi2", "Phi3", "Phi4", "Phi5", "Phi6", "Phi7", "laser")
+"""Names of the rows of a table."""
 _RESET, _SELECT, _HOLD, _SAMPLE, _ACCUMULATE, _END, _SHUTTER, _LASER = range(8)
 _PIXELS_PER_STAGE = 4
 
@@ -85,7 +86,7 @@ def _table(opens: int, closes: int, sequencer: Sequencer) -> Table:
     exposed = trigger + max(closes, 1)  # after the last of shutter and trigger
     transfer = sequencer.transfer_steps * _PIXELS_PER_STAGE
     half = exposed + 1 + transfer
-    rows = [[0] * (2 * half + 1) for _ in _SIGNALS]
+    rows = [[0] * (2 * half + 1) for _ in SIGNALS]
     rows[_LASER][trigger] = 1
     rows[_END][-1] = 1
     for start, sampled in ((0, _SAMPLE), (half, _ACCUMULATE)):
@@ -143,8 +144,8 @@ def _cycle(table: Table, clock_step_s: float, name: str, lit: list[int], dark: l
 
 
 def _check_table(table: Table, name: str) -> None:
-    if len(table) != len(_SIGNALS) or len({len(row) for row in table}) != 1 or set("".join(table)) - {"0", "1"}:
-        raise UsageError(f"{name}: must be {len(_SIGNALS)} strings of 0 and 1, all as long: {', '.join(_SIGNALS)}")
+    if len(table) != len(SIGNALS) or len({len(row) for row in table}) != 1 or set("".join(table)) - {"0", "1"}:
+        raise UsageError(f"{name}: must be {len(SIGNALS)} strings of 0 and 1, all as long: {', '.join(SIGNALS)}")
 
 
 def _require(right: bool, name: str, step: int, what: str) -> None:

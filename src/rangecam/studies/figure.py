@@ -11,6 +11,9 @@ from matplotlib.figure import Figure
 from rangecam.report.figures import PALETTE, STYLE
 from rangecam.studies.study import Panel, Picture, Study
 
+_MANY = 6
+"""So many series have no place for their legend beside them."""
+
 
 @matplotlib.rc_context(STYLE)
 def draw(study: Study) -> bytes:
@@ -52,5 +55,8 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
     for name in panel.log:
         getattr(ax, f"set_{name}scale")("log")
     ax.grid(visible=panel.picture is None)
-    if any(one.label for one in panel.series):
+    labels = sum(bool(one.label) for one in panel.series)
+    if labels >= _MANY:
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    elif labels:
         ax.legend(loc="best", fontsize=8)

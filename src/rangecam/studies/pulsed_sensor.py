@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import curve_fit
 
 from rangecam.optics import irradiance_on_sensor
+from rangecam.pulsed.bit_pattern import SIGNALS, Sequencer, execute, table_of
 from rangecam.pulsed.camera import simulate
 from rangecam.pulsed.limits import targets_on_axis
 from rangecam.pulsed.settings import Laser, PulsedCamera
@@ -21,6 +22,7 @@ AT_M, REFLECTIVITY = 1.0, 0.5
 _ROWS, _COLUMNS = 400, 200
 _PULSES = (1, 2, 4, 8, 16, 32, 64, 100)
 _STEP_S = 5e-9
+_CLOCK_S = Sequencer().clock_step_s
 
 
 def pulsed_sensor(rng: np.random.Generator) -> Study:
@@ -40,6 +42,7 @@ def pulsed_sensor(rng: np.random.Generator) -> Study:
         *_dark(rng),
         *_bright(bright),
         _correlated(found, calculated),
+        _clock_step(),
     ]
     panels = [
         _line_panel(exposure, lit_v, error_v),
@@ -47,6 +50,7 @@ def pulsed_sensor(rng: np.random.Generator) -> Study:
         _growth_panel(grown_v),
         _bright_panel(bright),
         _correlation_panel(delays_s, found, calculated),
+        _bit_pattern_panel(),
     ]
     return Study("pulsed-sensor", "König 2008, 4.2.1, 4.2.3.1 and 4.2.3.2", claims, panels)
 
@@ -274,3 +278,25 @@ def _correlation_panel(delays_s: Floats, found: Floats, calculated: Floats) -> P
         Series("measured", delays_s[::4] * 1e9, found[::4], line="o", colour=1),
     ]
     return Panel("Pulse of 180 ns, shutter of 390 ns", "laser delay (ns)", "signal over its top", series)
+
+
+def _clock_step() -> Claim:
+    """Return by how much the range moves when the bit pattern opens the shutter one step later."""
+    sequencer = Sequencer()
+    opened_s = [execute(table_of((k * _CLOCK_S, 6 * _CLOCK_S), sequencer), _CLOCK_S).window_s[0] for k in (0, 1)]
+    moved_m = 3e8 / 2 * (opened_s[1] - opened_s[0])
+    return derived(
+        "N-K-093", "range of one step of the bit pattern", moved_m, "m", "finer shifts need the laser's delay"
+    )
+
+
+def _bit_pattern_panel() -> Panel:
+    """Draw the control table of one pulse: laser on, transfer of four pixels, laser off, and again."""
+    table = table_of((0.0, 6 * _CLOCK_S), Sequencer())
+    time_ns = np.arange(len(table[0]) + 1) * _CLOCK_S * 1e9
+    levels = [np.array([*map(int, row), int(row[-1])]) for row in table]
+    series = [
+        Series(name, np.repeat(time_ns, 2)[1:-1], np.repeat(0.7 * level[:-1] + 7 - row, 2))
+        for row, (name, level) in enumerate(zip(SIGNALS, levels, strict=True))
+    ]
+    return Panel("Bit pattern of a window of 180 ns", "time (ns)", "level, one above the other", series)
