@@ -27,9 +27,9 @@ from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
 from rangecam.studies.calibration import calibration
+from rangecam.studies.cw_calibration import cw_calibration
 from rangecam.studies.cw_flying import cw_flying
 from rangecam.studies.cw_hdr import cw_hdr
-from rangecam.studies.cw_calibration import cw_calibration
 from rangecam.studies.cw_imperfections import cw_imperfections
 from rangecam.studies.cw_motion import cw_motion
 from rangecam.studies.cw_multipath import cw_multipath
