@@ -37,7 +37,7 @@ def design(
     preset: Preset = None,
     config: Annotated[
         list[Path], Parameter(name="--config", negative=(), help="TOML file of a camera; as CAMERAS.")
-    ] = [],  # noqa: B006, E501 (cyclopts reads the default, nobody changes it)
+    ] = [],  # noqa: B006 (cyclopts reads the default, nobody changes it)
     set_: Set = [],  # noqa: B006 (as above)
     plan: PlanSet = [],  # noqa: B006 (as above)
     output: Output = None,
