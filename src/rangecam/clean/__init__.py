@@ -4,6 +4,7 @@ Every stage only refuses pixels, with a reason, or lowers their noise: a pixel t
 - limits: what is known of each pixel before the image: least amplitudes, floor, area of interest
 - neighbours, flying: which pixels are refused
 - filters (median, variation): less noise from neighbours; temporal: from the last image
+- onepass: neighbours, median and limits in one pass over the rows, where nothing comes between them
 """
 
 import dataclasses
@@ -77,7 +78,7 @@ def _at_once(shape: tuple[int, ...], settings: CleanSettings, before: RangeImage
     return settings.filter == "median" and settings.floor != "fit" and alone and shape[1] <= WIDEST
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=4)
 def _all_limits(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: CleanSettings) -> Floats:
     """Return the limits as planes (7, H, W) float32, in the order of `onepass`."""
     (weakest, wrapped), needed, floor, near, far = _known_limits(lens, mounting, shape, settings)
