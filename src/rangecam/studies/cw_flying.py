@@ -18,8 +18,8 @@ from rangecam.studies.study import Claim, Panel, Picture, Series, Study, derived
 from rangecam.types import Floats, RangeImage, Why
 
 _GROSS_M, _MIXED_M, _RAYS = 0.03, 0.06, 4
-_TOLERANCE_M = 0.02
-"""Below what counts as gross, for noise to leave none of those; the preset, with 3 cm, loses less of a real scene."""
+_TOLERANCE_M = 0.01
+"""So far below what counts as gross that noise leaves none; the preset, with 3 cm, loses less of a real scene."""
 _SHAPE = (120, 160)
 _LIGHT_LSB = (200.0, 400.0, 800.0, 1500.0, 4000.0)
 _IMAGES = 3
