@@ -15,7 +15,6 @@ from rangecam.cw.signal import metres_per_radian
 from rangecam.cw.unwrapping import accepted_error_probability, combine, combined_sigma_m, gross_error_probability
 from rangecam.errors import UsageError
 from rangecam.scene.view import View
-from rangecam.studies.unwrapping import unwrapping
 from rangecam.types import SPEED_OF_LIGHT, RawFrame, Why
 from test_cw_phasor import CAMERA, frame_of
 
@@ -238,10 +237,3 @@ def test_the_camera_with_three_frequencies_measures_a_wall_beyond_each_of_its_wr
         error = (image.range_m - range_m)[image.valid]
         assert np.abs(error).max() < 0.2
         assert abs(error.mean()) < 0.005
-
-
-def test_the_study_meets_what_is_wanted_of_unwrapping():
-    study = unwrapping(np.random.default_rng(0))
-    assert all(claim.agrees is not False for claim in study.claims)
-    assert sum("with the filter" in claim.text and claim.agrees is True for claim in study.claims) == 4
-    assert len(study.panels) == 5
