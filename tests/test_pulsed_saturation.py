@@ -97,7 +97,7 @@ def test_calculation_and_simulated_camera_agree_on_sigma_from_3_to_21_m(name):
     expected_m = expected_sigma_m(at_m, RETRO, camera, "shifted")[0]
     ratio = image.range_m.astype(np.float64).var(axis=0, ddof=1) / expected_m**2
     low, high = chi2.ppf([0.005 / len(at_m), 1 - 0.005 / len(at_m)], 1499) / 1499
-    assert np.all((ratio > low - 0.02) & (ratio < high + 0.02))
+    assert np.all((ratio > low) & (ratio < high))
 
 
 def test_sigma_is_the_propagation_of_both_values():

@@ -97,7 +97,7 @@ def _three_ways(rng: np.random.Generator) -> list[Claim]:
         ratio = (found.sigma_m / expected_m) ** 2
         tail = 0.005 / len(ratio)
         low, high = (float(chi2.ppf(end, _METHOD_REPEATS - 1)) / _METHOD_REPEATS for end in (tail, 1 - tail))
-        agrees = bool(np.all((ratio > low - 0.02) & (ratio < high + 0.02)))
+        agrees = bool(np.all((ratio > low) & (ratio < high)))
         text = f"variance of {name.upper()}, whole camera over its closed form, 3-21 m: farthest from 1"
         worst = float(ratio[np.abs(ratio - 1).argmax()])
         claims.append(judged("K-CMP-06", text, None, worst, "", agrees, "within the 99 % interval of the variance"))
