@@ -3,6 +3,7 @@
 import json as json_format
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,10 +21,22 @@ calibrate = App(
 )
 app.command(calibrate)
 
-Output = Annotated[Path, Parameter(name=["--output", "-o"], help="Write the calibration to this file (.npz).")]
-From = Annotated[
-    Path | None, Parameter(name="--from", help="Calibration to complete; what a step does not determine stays.")
-]
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class How:
+    """What every step is told beside its recordings."""
+
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Write the calibration to this file (.npz).")]
+    start: Annotated[
+        Path | None, Parameter(name="--from", help="Calibration to complete; what a step does not determine stays.")
+    ] = None
+    preset: Preset = None
+    config: ConfigFile = None
+    set_: Set = field(default_factory=list)
+    json: Json = False
+
+
 Straight = Annotated[
     bool, Parameter(negative=(), show_default=False, help="A line for each pixel alone, no curve for the camera.")
 ]
@@ -32,81 +45,60 @@ Straight = Annotated[
 @calibrate.command
 def dark(
     *recordings: str,
-    output: Output,
-    from_: From = None,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (cyclopts reads the default, nobody changes it)
-    json: Json = False,
+    how: How,
 ) -> None:
     """Take the offset of every pixel from RECORDINGS without light, of each number of accumulations."""
-    opened = _open(recordings, from_, (preset, config, set_), numbered=False)
-    _finish("dark", opened, from_, output, json, {})
+    opened = _open(recordings, how, numbered=False)
+    _finish("dark", opened, how, {})
 
 
 @calibrate.command(name="range")
 def range_(
     *recordings: str,
-    output: Output,
-    from_: From = None,
+    how: How,
     straight: Straight = False,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
 ) -> None:
     """Take curve and lines from DISTANCE=RECORDING of a plane target across the optical axis, m from the camera."""
-    opened = _open(recordings, from_, (preset, config, set_), numbered=True)
-    _finish("range", opened, from_, output, json, {"straight": straight} if straight else {})
+    opened = _open(recordings, how, numbered=True)
+    _finish("range", opened, how, {"straight": straight} if straight else {})
 
 
 @calibrate.command
 def delay(
     *recordings: str,
     distance: Annotated[float, Parameter(help="Distance of the plane target in all recordings, m.")],
-    output: Output,
-    from_: From = None,
+    how: How,
     straight: Straight = False,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
 ) -> None:
     """Take curve and lines from DELAY=RECORDING: the laser fires DELAY s later than in use, the target stays."""
-    opened = _open(recordings, from_, (preset, config, set_), numbered=True)
-    _finish("delay", opened, from_, output, json, {"distance_m": distance, "straight": straight})
+    opened = _open(recordings, how, numbered=True)
+    _finish("delay", opened, how, {"distance_m": distance, "straight": straight})
 
 
 @calibrate.command
 def noise(
     *recordings: str,
-    output: Output,
-    from_: From = None,
+    how: How,
     figure: Annotated[Path | None, Parameter(help="Draw the fit (.png).")] = None,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
 ) -> None:
     """Fit the noise parameters to RECORDINGS: in darkness at several accumulations, or of a scene at rest (taps)."""
     from rangecam.io.files import check_target, replacing
 
     if figure is not None:
         check_target(figure)
-    opened = _open(recordings, from_, (preset, config, set_), numbered=False)
-    result = _finish("noise", opened, from_, output, json, {})
+    opened = _open(recordings, how, numbered=False)
+    result = _finish("noise", opened, how, {})
     if figure is not None:
         with replacing(figure) as part:
             part.write_bytes(_noise_figure(result))
-        if not json:
+        if not how.json:
             print(f"figure      {figure}")
 
 
 @calibrate.command
 def wiggling(
     *recordings: str,
-    output: Output,
-    from_: From = None,
+    how: How,
     model: Annotated[
         Literal["table", "harmonics"], Parameter(help="Values over the phase with a spline between, or its harmonics.")
     ] = "table",
@@ -117,44 +109,30 @@ def wiggling(
         bool,
         Parameter(negative=(), show_default=False, help="Take what a scene shows although it has not all ranges."),
     ] = False,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
 ) -> None:
     """Take the error over the phase from DISTANCE=RECORDING of planes, or RECORDING with a reference range."""
-    opened = _open(recordings, from_, (preset, config, set_), numbered=None)
-    _finish("wiggling", opened, from_, output, json, {"model": model, "size": size, "partial": partial})
+    opened = _open(recordings, how, numbered=None)
+    _finish("wiggling", opened, how, {"model": model, "size": size, "partial": partial})
 
 
 @calibrate.command
 def pattern(
     *recordings: str,
-    output: Output,
-    from_: From = None,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
+    how: How,
 ) -> None:
     """Take the offset of every pixel from DISTANCE=RECORDING of planes, or RECORDING of planes anywhere."""
-    opened = _open(recordings, from_, (preset, config, set_), numbered=None)
-    _finish("pattern", opened, from_, output, json, {})
+    opened = _open(recordings, how, numbered=None)
+    _finish("pattern", opened, how, {})
 
 
 @calibrate.command
 def temperature(
     *recordings: str,
-    output: Output,
-    from_: From = None,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
+    how: How,
 ) -> None:
     """Take the drift of the range from TEMPERATURE=RECORDING of a scene at rest, degrees Celsius."""
-    opened = _open(recordings, from_, (preset, config, set_), numbered=None)
-    _finish("temperature", opened, from_, output, json, {})
+    opened = _open(recordings, how, numbered=None)
+    _finish("temperature", opened, how, {})
 
 
 @calibrate.command
@@ -164,25 +142,15 @@ def scattering(
     without: Annotated[
         str | None, Parameter(show_default=False, help="Recording of the same scene without the target.")
     ] = None,
-    output: Output,
-    from_: From = None,
-    preset: Preset = None,
-    config: ConfigFile = None,
-    set_: Set = [],  # noqa: B006 (as above)
-    json: Json = False,
+    how: How,
 ) -> None:
     """Take the stray light of the lens from TARGET, a recording of something small and bright before darkness."""
     recordings = [target] if without is None else [target, without]
-    opened = _open(recordings, from_, (preset, config, set_), numbered=False)
-    _finish("scattering", opened, from_, output, json, {})
+    opened = _open(recordings, how, numbered=False)
+    _finish("scattering", opened, how, {})
 
 
-def _open(
-    recordings: Sequence[str],
-    start: Path | None,
-    settings: tuple[str | None, Path | None, Sequence[str]],
-    numbered: bool | None,
-) -> "list[Recording]":
+def _open(recordings: Sequence[str], how: How, numbered: bool | None) -> "list[Recording]":
     """Open recordings without the calibration that they may hold; numbered: each is NUMBER=RECORDING, None: may be."""
     from rangecam.calibration import Recording
     from rangecam.config import FAMILIES, merge, overrides, read_toml
@@ -192,16 +160,15 @@ def _open(
         raise UsageError(
             "calibrate needs a recording" + (": NUMBER=RECORDING, for example 5=wall-5.mcap" * (numbered is not False))
         )
-    preset, config, assignments = settings
-    wanted = merge(*([read_toml(config)] if config else []), overrides(assignments))
+    wanted = merge(*([read_toml(how.config)] if how.config else []), overrides(how.set_))
     opened = []
     for text in recordings:
         number, name = _numbered(text) if numbered or (numbered is None and _NUMBER.match(text)) else (None, text)
-        kind = open_source(name, preset=preset, layers=[wanted]).config.camera.kind
+        kind = open_source(name, preset=how.preset, layers=[wanted]).config.camera.kind
         family: Any = FAMILIES[kind]
         if not hasattr(family, "CALIBRATE"):
             raise UsageError(f"{name}: there is nothing to calibrate of a camera of kind {kind}")
-        source = open_source(name, preset=preset, layers=[wanted, {"camera": {"calibration": ""}}])
+        source = open_source(name, preset=how.preset, layers=[wanted, {"camera": {"calibration": ""}}])
         method = source.config.ranging
         frames = (capture.raw for capture in source.captures)
         opened.append(Recording(name, frames, source.config.camera, method, family.RANGING[method], number))
@@ -219,26 +186,24 @@ def _numbered(text: str) -> tuple[float, str]:
         raise UsageError(f"{text}: expected NUMBER=RECORDING, for example 5=wall-5.mcap") from None
 
 
-def _finish(
-    step: str, opened: "list[Recording]", start: Path | None, output: Path, json: bool, options: dict[str, Any]
-) -> "Calibration":
+def _finish(step: str, opened: "list[Recording]", how: How, options: dict[str, Any]) -> "Calibration":
     """Do a step, write the file and say what was found."""
     from rangecam.calibration import Calibration, load_calibration, save_calibration
     from rangecam.config import FAMILIES
     from rangecam.io.files import check_target
 
-    check_target(output)
+    check_target(how.output)
     family: Any = FAMILIES[opened[0].camera.kind]
     steps = family.CALIBRATE
     if step not in steps:
         raise UsageError(f"calibrate {step}: a {opened[0].camera.kind} camera has only {', '.join(steps)}")
-    result: Calibration = steps[step](opened, load_calibration(start) if start else Calibration({}), **options)
-    save_calibration(output, result)
+    result: Calibration = steps[step](opened, load_calibration(how.start) if how.start else Calibration({}), **options)
+    save_calibration(how.output, result)
     found = result.taken.get(step, result.taken.get("range"))
     print(
-        json_format.dumps({"step": step, "output": str(output), "settings": result.settings, "found": found})
-        if json
-        else f"{_lines(found or {})}\ncalibration {output} (use it with --set camera.calibration={output})"
+        json_format.dumps({"step": step, "output": str(how.output), "settings": result.settings, "found": found})
+        if how.json
+        else f"{_lines(found or {})}\ncalibration {how.output} (use it with --set camera.calibration={how.output})"
     )
     return result
 
