@@ -8,12 +8,13 @@ from typing import Any, TypeGuard
 import numpy as np
 from numba import njit
 
-from rangecam.cw.phasor import average, demodulate, filter_rule, harmonic_weights, keep, noise_model
+from rangecam.cw.decoding import decode
 from rangecam.cw.phasor import turns as turns_of
 from rangecam.cw.sequence import plane_names
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import metres_per_radian, sample_variance
-from rangecam.cw.unwrapping import combine, order_of, plan_of, unwrap, unwrap_by_neighbours
+from rangecam.cw.unwrapping import combine
+from rangecam.cw.wraps import order_of, plan_of
 from rangecam.errors import UsageError
 from rangecam.planes import plane_of
 from rangecam.types import Floats, Image, RangeImage, RawFrame, Why
@@ -206,7 +207,7 @@ def cw_phases(raw: RawFrame, camera: CwCamera) -> RangeImage:
             "ranging = 'cw_multi_frequency'"
         )
     wavelength_m = 2 * math.pi * metres_per_radian(camera)
-    return _decode(raw, camera, (wavelength_m,), (0,), np.zeros(0, np.float32))
+    return _decoded(raw, camera, (wavelength_m,), (0,), np.zeros(7, np.float32))
 
 
 def cw_multi_frequency(raw: RawFrame, camera: CwCamera) -> RangeImage:
@@ -220,108 +221,19 @@ def cw_multi_frequency(raw: RawFrame, camera: CwCamera) -> RangeImage:
     """
     together = combine(camera.modulations_hz, camera.speed_of_light_mps)
     wavelengths_m = tuple(together.unambiguous_m / p for p in together.wraps)
-    return _decode(raw, camera, wavelengths_m, tuple(order_of(together)), plan_of(together, camera))
+    return _decoded(raw, camera, wavelengths_m, order_of(together), plan_of(together, camera))
 
 
-def _decode(
-    raw: RawFrame, camera: CwCamera, wavelengths_m: tuple[float, ...], order: tuple[int, ...], plan: Floats
+def _decoded(
+    raw: RawFrame, camera: CwCamera, wavelengths_m: tuple[float, ...], order: Sequence[int], plan: Floats
 ) -> RangeImage:
-    """Return the range image of one or several frequencies whose phases repeat after `wavelengths_m`."""
-    weights, names = harmonic_weights(camera.phase_steps_deg), plane_names(camera)
-    planes = _samples(raw, names)
-    shape, why = planes[0].shape, np.empty(planes[0].shape, np.uint8)
-    images = np.empty((3, *shape), np.float32)
-    spatially = len(order) > 1 and camera.unwrap_spatially
-    turns = np.empty((2, shape[0] if spatially else 1, len(order), shape[1]), np.float32)
-    reach, rule = filter_rule(camera, wavelengths_m)
-    limits = [camera.phase_sign, camera.min_amplitude, camera.max_phase_sigma_rad**2, wavelengths_m[0]]
-    limits += [camera.offset_m / wavelengths_m[k] for k in order]
-    _decode_rows(
-        planes,
-        (weights, noise_model(camera)),
-        (rule, np.array(limits, np.float32), plan),
-        (reach, camera.pseudo_rows),
-        np.array(order),
-        turns,
-        images,
-        why,
-    )
-    if spatially:
-        given = np.empty(shape, bool)
-        while unwrap_by_neighbours(turns[0], turns[1], plan, images[0], images[1], why, given):
-            pass
+    """Return the range image of frequencies whose phases repeat after `wavelengths_m`, taken in an order."""
+    names, n_steps = plane_names(camera), len(camera.phase_steps_deg)
+    planes = _samples(raw, [name for k in order for name in names[k * n_steps : (k + 1) * n_steps]])
+    images, why = decode(planes, camera, tuple(wavelengths_m[k] for k in order), plan)
     if camera.pseudo_rows:
         why[: camera.pseudo_rows] = _SENSOR_FLAG
     return RangeImage(raw.time_s, images[0], images[1], images[2], why)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _decode_rows(
-    planes: Any, model: Any, rules: Any, extent: tuple[int, int], order: Any, turns: Any, images: Any, why: Any
-) -> None:
-    """Decode row by row; of the phasors only as many rows are kept as the filter looks at."""
-    (rule, limits, plan), (reach, pseudo_rows) = rules, extent
-    height, width = why.shape
-    n_frequencies, n_rows = len(order), 2 * reach + 1
-    units = np.zeros((n_rows, 2 * n_frequencies, width + 2 * reach), np.float32)
-    phasors, noises = np.zeros_like(units), np.zeros((n_rows, n_frequencies, width + 2 * reach), np.float32)
-    spread = np.full((n_rows, 3, width + 2 * reach), np.float32(np.nan))
-    ring = (units, phasors, noises, spread)
-    mean, variance = np.empty((2 * n_frequencies, width), np.float32), np.empty((n_frequencies, width), np.float32)
-    scratch, rows = np.empty((10, width), np.float32), np.empty(n_rows, np.int64)
-    for last in range(height + reach):
-        slot, y = last % n_rows, last - reach
-        if last < height:
-            demodulate(planes, last, model, ring, slot, scratch, why[last])
-        if last < pseudo_rows or last >= height:
-            spread[slot] = np.float32(np.nan)
-        if y < 0:
-            continue
-        if reach == 0:
-            keep(ring, mean, variance)
-        else:
-            for j in range(n_rows):
-                rows[j] = (last + 1 + j) % n_rows
-            inside = min(y, reach) + min(height - 1 - y, reach) + 1
-            average(rows, inside, ring, rule, scratch, mean, variance, why[y])
-        row = y if turns.shape[1] > 1 else 0
-        cycles, certainty = turns[0, row], turns[1, row]
-        _phases(mean, variance, order, limits, plan, cycles, certainty, images[2, y], why[y])
-        if n_frequencies == 1:
-            _single(cycles[0], certainty[0], limits[3], images[0, y], images[1, y])
-        else:
-            unwrap(cycles, certainty, plan, scratch, images[0, y], images[1, y], why[y])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _phases(
-    mean: Any, variance: Any, order: Any, limits: Any, plan: Any, cycles: Any, certainty: Any, amplitude: Any, why: Any
-) -> None:
-    """Fill the phases of a row in turns, one over their variance, and the mean amplitude; refuse weak pixels."""
-    sign, least, most = limits[0], limits[1], limits[2]
-    error = plan[6] if plan.size else _ZERO
-    share, per_turn = _ONE / np.float32(len(order)), np.float32(0.25 / math.pi**2)
-    amplitude[:] = _ZERO
-    for j in range(len(order)):
-        real, imaginary, across = mean[2 * order[j]], mean[2 * order[j] + 1], variance[order[j]]
-        offset, u, weight = limits[4 + j], cycles[j], certainty[j]
-        for i in range(amplitude.size):
-            phase = sign * turns_of(imaginary[i], real[i]) + offset
-            phase -= np.floor(phase)
-            u[i] = _ZERO if phase >= _ONE else phase
-            square = real[i] * real[i] + imaginary[i] * imaginary[i]
-            size, squared_sigma = np.sqrt(square), across[i] / square
-            weight[i] = _ONE / (squared_sigma * per_turn + error)
-            amplitude[i] += share * size
-            weak = (not squared_sigma <= most) | (size < least)
-            why[i] = _LOW_AMPLITUDE if weak & (why[i] == _VALID) else why[i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _single(cycles: Any, certainty: Any, wavelength_m: Any, range_m: Any, sigma_m: Any) -> None:
-    for i in range(range_m.size):
-        range_m[i] = wavelength_m * cycles[i]
-        sigma_m[i] = wavelength_m / np.sqrt(certainty[i])
 
 
 RANGING: dict[str, Callable[[RawFrame, CwCamera], RangeImage]] = {
