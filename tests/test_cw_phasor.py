@@ -242,6 +242,8 @@ def test_more_sigmas_let_more_neighbours_in_and_less_contrast_fewer():
     assert even > 1.2 * wide
 
 
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # NaN, in the kernels without compilation
+@pytest.mark.filterwarnings("ignore:divide by zero:RuntimeWarning")
 @pytest.mark.parametrize("pseudo_rows", [0, 2])
 def test_pseudo_rows_take_no_part_in_the_average(pseudo_rows):
     camera = replace(CAMERA, phasor_filter="5x5", pseudo_rows=pseudo_rows)
@@ -277,6 +279,8 @@ def test_a_faulty_pixel_has_its_reason_and_spoils_no_neighbour(name, value, limi
     np.testing.assert_allclose(image.range_m[image.valid], 3.0, atol=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # NaN, in the kernels without compilation
+@pytest.mark.filterwarnings("ignore:divide by zero:RuntimeWarning")
 def test_equal_samples_are_no_signal_and_weak_ones_low_amplitude():
     raw = frame_of(CAMERA, np.full((3, 3), 3.0), np.diag([0.0, 3.0, 0.0]) + 200 * (1 - np.eye(3)))
     image = cw_phases(raw, CAMERA)
