@@ -71,7 +71,8 @@ def _classify(
     limits, moving_mps, tolerance = rules[:8], rules[8], rules[9]
     standing, obstacle, unknown, memory = rules[10], rules[11], rules[12], rules[13]
     for i in range(status.size):
-        probability[i] = earlier[i]
+        for k in range(4):  # as whole rows it would compile three seconds longer
+            probability[i, k] = earlier[i, k]
         if status[i] != _CONFIRMED:
             continue
         excess = max(abs(state[i, 4]) - moving_mps, 0.0) / math.sqrt(max(covariance[i, 4, 4], 1e-12))
