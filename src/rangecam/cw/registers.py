@@ -103,10 +103,9 @@ def _checked(writes: Iterable[Register]) -> dict[str, int]:
     for register, value in writes:
         name = NAMES.get(register, "") if isinstance(register, int) else register
         if name not in ADDRESSES:
-            what = (
-                f"0x{register:04X}" if isinstance(register, int) else f"{register!r}{did_you_mean(register, ADDRESSES)}"
+            raise UsageError(
+                f"camera.registers: unknown register {_told(register)}; known are those of cw.registers.ADDRESSES"
             )
-            raise UsageError(f"camera.registers: unknown register {what}; known are those of cw.registers.ADDRESSES")
         if not 0 <= value <= 0xFFFF:
             raise UsageError(f"camera.registers: {name} = {value}: expected 16 bits, 0 to 0xFFFF")
         contents[name] = value

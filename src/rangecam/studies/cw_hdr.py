@@ -7,6 +7,7 @@ import numpy as np
 
 from rangecam.cw import RANGING, CwCamera, simulate
 from rangecam.cw.effects import Taps
+from rangecam.cw.imperfections import ground_truth
 from rangecam.hdr import ranged
 from rangecam.scene.view import View
 from rangecam.studies.plates import looking_at, plate, thesis_cw_camera, wall
@@ -27,7 +28,7 @@ def cw_hdr(rng: np.random.Generator) -> Study:
     camera = thesis_cw_camera(frame_rate_hz=5.0, taps=Taps(full_well_lsb=2500.0))
     single = {time_s: _image(replace(camera, illumination_time_s=time_s), rng) for time_s in _TIMES_S}
     merged = _image(replace(camera, illumination_times_s=(_SHORT_S, _LONG_S)), rng)
-    truth_m = _truth_m(camera)
+    truth_m = ground_truth(_view(camera)(0.0), camera).range_m
     shown = {"0.2 ms": single[_SHORT_S], "16 ms": single[_LONG_S], "0.2 and 16 ms": merged}
     claims = [claim for name, image in shown.items() for claim in _claims(name, image, truth_m)]
     best = max(float(image.valid.mean()) for image in single.values())
@@ -63,11 +64,6 @@ def _view(camera: CwCamera) -> Callable[[float], View]:
 def _image(camera: CwCamera, rng: np.random.Generator) -> RangeImage:
     """Return what ranging makes of one frame, however many exposures it has."""
     return ranged(RANGING["cw_four_phase"], simulate(_view(camera), camera, 0.0, rng), camera)
-
-
-def _truth_m(camera: CwCamera) -> Floats:
-    range_m: Floats = _view(camera)(0.0).range_m[0]
-    return range_m
 
 
 def _valid(image: RangeImage, truth_m: Floats, piece: str) -> float:

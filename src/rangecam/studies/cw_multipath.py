@@ -6,7 +6,7 @@ import numpy as np
 
 from rangecam.cw import RANGING, CwCamera
 from rangecam.cw.effects import Multipath
-from rangecam.cw.imperfections import with_and_without
+from rangecam.cw.imperfections import ground_truth, with_and_without
 from rangecam.scene.paths import Path
 from rangecam.scene.shapes import Box, SceneObject
 from rangecam.studies.plates import looking_at, thesis_cw_camera, wall
@@ -81,7 +81,9 @@ def _corner(modulations_hz: list[float], seed: int) -> _Corner:
     )  # fmt: skip
     camera = replace(camera, multipath=Multipath(two_bounces=True))
     view = looking_at(camera, wall(2.5, 0.9), _SIDE, subpixels=1)
-    return _Corner(camera, with_and_without("multipath", view, camera, 0.0, seed), view(0.0).range_m[0])
+    return _Corner(
+        camera, with_and_without("multipath", view, camera, 0.0, seed), ground_truth(view(0.0), camera).range_m
+    )
 
 
 def _claims(name: str, corner: _Corner) -> list[Claim]:
