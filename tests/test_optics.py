@@ -164,3 +164,11 @@ def test_at_the_highest_rate_the_mean_of_all_pulses_is_the_limit():
 def test_limits_of_eye_safety_are_not_guessed_where_others_hold(arguments, name):
     with pytest.raises(UsageError, match=f"{name} = .*: the limits of eye safety are known from"):
         mpe_jpm2(*arguments)
+
+
+def test_a_larger_sensor_sees_more_and_shares_the_light_among_more_area() -> None:
+    large = Objective(sensor_width_m=2 * FRONT_VIEW.sensor_width_m, sensor_height_m=3 * FRONT_VIEW.sensor_height_m)
+    assert large.sensor_area_m2 == pytest.approx(6 * FRONT_VIEW.sensor_area_m2)
+    wide, narrow = (np.tan(np.divide(each.opening_angles_rad, 2)) for each in (large, FRONT_VIEW))
+    np.testing.assert_allclose(wide / narrow, [2.0, 3.0])
+    assert on_axis(10.0, 5.0, objective=large) == pytest.approx(on_axis(10.0, 5.0) / 6)  # as the beam fills what is imaged

@@ -67,6 +67,12 @@ def test_warm_surroundings_cost_power_and_lower_the_limit_until_there_is_none():
     assert power_fraction(LASER, PULSE_S, 400.0, 0.0) == 0  # it does not become negative
 
 
+def test_each_kelvin_above_25_degrees_costs_the_stated_share_of_the_power():
+    cold, warm = (float(power_fraction(Laser(loss_per_k=2e-3), 180e-9, kelvin, 0.0)) for kelvin in (25.0, 45.0))
+    assert cold == pytest.approx(1.0)
+    assert warm == pytest.approx(1.0 - 20 * 2e-3)
+
+
 def test_at_the_limit_the_power_settles_at_the_least_that_is_allowed():
     at_limit = replace(LASER, repetition_hz=thermal_limit_hz(LASER, PULSE_S, ROOM_C))
     assert power_fraction(at_limit, PULSE_S, ROOM_C, np.inf) == pytest.approx(0.7)
