@@ -171,4 +171,5 @@ def test_a_larger_sensor_sees_more_and_shares_the_light_among_more_area() -> Non
     assert large.sensor_area_m2 == pytest.approx(6 * FRONT_VIEW.sensor_area_m2)
     wide, narrow = (np.tan(np.divide(each.opening_angles_rad, 2)) for each in (large, FRONT_VIEW))
     np.testing.assert_allclose(wide / narrow, [2.0, 3.0])
-    assert on_axis(10.0, 5.0, objective=large) == pytest.approx(on_axis(10.0, 5.0) / 6)  # as the beam fills what is imaged
+    # as the beam fills what is imaged
+    assert on_axis(10.0, 5.0, objective=large) == pytest.approx(on_axis(10.0, 5.0) / 6)
