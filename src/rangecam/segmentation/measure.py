@@ -24,14 +24,15 @@ def measure_segments(
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
     Of a segment that is `cut` short they are those of the part that is seen.
     """
+    labels, why = np.ascontiguousarray(labels), np.ascontiguousarray(image.why)
     count, shape = _number(labels), image.shape
     range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
-    planes = range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32), image.why
+    planes = range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32)
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
     known = _known(lens, mounting, shape, settings)
-    _measure(labels, points, *planes, known, position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut)
+    _measure(labels, np.ascontiguousarray(points), *planes, why, known, position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,

@@ -7,13 +7,6 @@ from numba import njit
 
 from rangecam.types import Cut, Why
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = int(Cut.LEFT), int(Cut.RIGHT), int(Cut.TOP), int(Cut.BOTTOM)
-_OCCLUDED = int(Cut.OCCLUDED)
-_EDGE, _NEARER, _NOTHING = 0, 1, 2
-_BORDER, _OUTSIDE, _FLOOR = int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
-_FAR = 3  # pixels beyond the outline that are looked at
-
-
 @njit(cache=True, nogil=True)
 def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limits: Any, cut: Any) -> None:
     """Write the bits of `Cut` of each segment: (N,) uint8; a kernel.
@@ -26,50 +19,53 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
     a few stray pixels. The floor in front of an object is nearer too: a point below the lowest of the segment, on a ray
     that goes down, is no occluder.
     """
-    walks = (0, -1, _LEFT), (0, 1, _RIGHT), (-1, 0, _TOP), (1, 0, _BOTTOM)
+    height, width = labels.shape
+    flat, z, why = labels.reshape(-1), points.reshape(-1)[2::3], planes[2].reshape(-1)
+    ranges = planes[0].reshape(-1), planes[1].reshape(-1)
     for k in range(len(box)):
         outline, occluded, bits = 0, 0, 0
-        for down, right, edge in walks:
-            rows, columns = box[k, 2] - box[k, 0], box[k, 3] - box[k, 1]
-            lines, depth = (rows, columns) if down == 0 else (columns, rows)
-            top = box[k, 0] if down <= 0 else box[k, 2] - 1
-            left = box[k, 1] if right <= 0 else box[k, 3] - 1
-            for line in range(lines):
-                row, column = (top + line, left) if down == 0 else (top, left + line)
-                walked = 0
-                while walked < depth and labels[row, column] != k + 1:
-                    row, column, walked = row - down, column - right, walked + 1
-                if walked == depth:
-                    continue
-                outline += 1
-                beyond = _beyond(labels, points, planes, (row, column), (down, right), bounds[k, 2], limits)
-                if beyond == _EDGE:
-                    bits |= edge
-                elif beyond == _NEARER:
-                    occluded += 1
-        if occluded > max(1.0, limits[3] * outline):
-            bits |= _OCCLUDED
-        cut[k] = bits
+        for side in range(4):  # left, right, top, bottom: the bits of Cut in their order
+            across, from_end = side < 2, side % 2 == 1
+            first, lines = (box[k, 0], box[k, 2] - box[k, 0]) if across else (box[k, 1], box[k, 3] - box[k, 1])
+            start, depth = (box[k, 1], box[k, 3] - box[k, 1]) if across else (box[k, 0], box[k, 2] - box[k, 0])
+            size, line_step, step = (width, width, 1) if across else (height, 1, width)
+            start = start + depth - 1 if from_end else start
+            room = size - 1 - start if from_end else start  # pixels between the box and the edge of the image
+            inward = -step if from_end else step
+            for line in range(first, first + lines):
+                pixel, walked = line * line_step + start * step, 0
+                while walked < depth and flat[pixel] != k + 1:
+                    pixel, walked = pixel + inward, walked + 1
+                if walked < depth:
+                    outline += 1
+                    if room + walked == 0 or why[pixel - inward] == _BORDER:
+                        bits |= 1 << side
+                    else:
+                        far = min(room + walked, _FAR)
+                        occluded += _hidden(flat, z, ranges, why, pixel, -inward, far, bounds[k, 2], limits)
+        cut[k] = bits | _OCCLUDED if occluded > max(1.0, limits[3] * outline) else bits
 
 
-@njit(cache=True, nogil=True)
-def _beyond(labels: Any, points: Any, planes: Any, pixel: Any, step: Any, lowest: Any, limits: Any) -> int:
-    """Return what lies beyond an outermost pixel: the edge of the image, something nearer, or nothing of the kind."""
-    range_m, sigma_m, why = planes
-    row, column = pixel
-    height, width = why.shape
-    for far in range(1, _FAR + 1):
-        y, x = row + far * step[0], column + far * step[1]
-        if not (0 <= y < height and 0 <= x < width) or why[y, x] == _BORDER:
-            return _EDGE if far == 1 else _NOTHING
-        reason = why[y, x]
-        if reason == _FLOOR:
-            return _NOTHING
+_OCCLUDED, _BORDER, _OUTSIDE, _FLOOR = int(Cut.OCCLUDED), int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
+_FAR = 3  # pixels beyond the outline that are looked at
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _hidden(
+    flat: Any, z: Any, ranges: Any, why: Any, pixel: int, outward: int, far: int, lowest: float, limits: Any
+) -> bool:
+    """Return whether the first of `far` pixels outwards of an outermost one that has a range is an occluder."""
+    range_m, sigma_m = ranges
+    other = pixel
+    for _ in range(far):
+        other += outward
+        reason = why[other]
+        if reason == _FLOOR or reason == _BORDER:
+            return False
         if reason == 0 or reason == _OUTSIDE:
-            difference = range_m[row, column] - range_m[y, x] - limits[1]
-            if not difference > 0 or labels[y, x] == labels[row, column]:
-                return _NOTHING
-            noise = math.sqrt(sigma_m[row, column] ** 2 + sigma_m[y, x] ** 2)
-            floor = points[y, x, 2] < lowest and points[row, column, 2] < limits[0]
-            return _NEARER if difference > limits[2] * noise and not floor else _NOTHING
-    return _NOTHING
+            difference = range_m[pixel] - range_m[other] - limits[1]
+            if not difference > 0 or flat[pixel] == flat[other]:
+                return False
+            noise = math.sqrt(sigma_m[pixel] ** 2 + sigma_m[other] ** 2)
+            return difference > limits[2] * noise and not (z[other] < lowest and z[pixel] < limits[0])
+    return False
