@@ -1,5 +1,6 @@
 """Where each segment is, how large, and how surely that is known."""
 
+import dataclasses
 import math
 from functools import lru_cache
 from typing import Any
@@ -33,7 +34,8 @@ def measure_segments(
     nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
     known, angles = _known(lens, mounting, shape, settings), _angles(lens, shape)
     filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut
-    _measure(labels, np.ascontiguousarray(points), *planes, why, known, angles, *filled)
+    if not _measure(labels, np.ascontiguousarray(points), *planes, why, known, angles, *filled):
+        return _without_holes(labels, points, image, lens, mounting, settings)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
@@ -67,6 +69,17 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
         ],
         float,
     )
+
+
+def _without_holes(
+    labels: Ints, points: Floats, image: RangeImage, lens: Lens, mounting: Mounting, settings: SegmentSettings
+) -> Segments:
+    """Measure what has a finite point, range and sigma; a segment without any is left out."""
+    seen = np.isfinite(points).all(axis=-1) & np.isfinite(image.range_m) & np.isfinite(image.sigma_m)
+    kept = np.unique(labels[seen & (labels > 0)])
+    renumbered = np.where(seen & (labels > 0), np.searchsorted(kept, labels) + 1, 0).astype(np.int32)
+    segments = measure_segments(renumbered, points, image, lens, mounting, settings)
+    return dataclasses.replace(segments, label=kept.astype(np.int64))
 
 
 @lru_cache(maxsize=16)
@@ -103,12 +116,16 @@ def _measure(
     nearest_m: Any,
     cut: Any,
 ) -> Any:
-    """Fill the eight last arrays; means: range and amplitude."""
+    """Fill the eight last arrays, means: range and amplitude; return False if a point is not finite or missing."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
+    for k in range(len(sums)):
+        if not math.isfinite(sums[k].sum() - sums[k, 9]):  # an amplitude may be missing
+            return False
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
     _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels)
+    return True
 
 
 @njit(cache=True, nogil=True)
