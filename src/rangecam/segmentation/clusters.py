@@ -46,9 +46,10 @@ def _by_group(settings: SegmentSettings) -> SegmentSettings:
 def k_means(image: RangeImage, points: Floats, settings: SegmentSettings) -> Ints:
     """Cluster the points around as many means as it takes: labels (H, W) int32 in the order of the scan.
 
-    k-means whose k is found: a point farther than `cluster_radius_m` from all means begins a new one (DP-means; Kulis
-    and Jordan, ICML 2012), then points go to the nearest mean and means to the middle of their points, until nothing
-    changes. What does not touch in the image is not one object. Large objects fall apart, near ones that touch merge.
+    k-means whose k is found: it begins with the mean of all points; a point farther than `cluster_radius_m` from all
+    means begins a new one (DP-means; Kulis and Jordan, ICML 2012), then points go to the nearest mean and means to the
+    middle of their points, until nothing changes. What does not touch in the image is not one object. Large objects
+    fall apart, near ones that touch merge.
     """
     cell_of, cells = _cells(image, points, settings.cluster_radius_m / _CELLS_IN_RADIUS)
     group_of = np.zeros(len(cells), np.int32)
@@ -116,6 +117,10 @@ def _means(cells: Any, radius2: float, group_of: Any) -> None:
     """Give each cell the number of its nearest mean."""
     means, sums = np.empty((len(cells), 3)), np.zeros((len(cells), 4))
     count = 0
+    if len(cells) > 0:  # the first mean is that of all points
+        for c in range(len(cells)):
+            sums[0] += cells[c]
+        means[0], count = sums[0, :3] / sums[0, 3], 1
     group_of[:] = -1
     for _ in range(_ROUNDS):
         changed = False

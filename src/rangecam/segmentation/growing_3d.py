@@ -18,56 +18,10 @@ def region_growing_3d(image: RangeImage, points: Floats, settings: SegmentSettin
     the tangent of the largest incidence, plus the noise of the difference. Inclined surfaces stay whole at any
     distance, and a step counts as one where no surface could look like it. The amplitude may have a say too (K-SEG-07).
     """
-    return _grown(image, points, np.zeros(0, np.int32), settings)
-
-
-def region_growing_seeded(
-    image: RangeImage, points: Floats, settings: SegmentSettings, tracks: Tracks | None = None
-) -> Ints:
-    """Grow in 3D from where the confirmed tracks of the last frame are expected, then as `region_growing_3d` (S-SEG-05).
-
-    All seeds grow at once, each a ring of pixels at a time, so that objects that touch part where they meet: what was
-    told apart stays apart. A seed is the valid pixel nearest to the predicted position, not farther than
-    `seed_reach_m`; of two tracks as near to each other as that, only the first is one. Labels begin with the seeds.
-    """
-    return _grown(image, points, _seeds(image, points, settings, tracks or Tracks.empty()), settings)
-
-
-def _seeds(image: RangeImage, points: Floats, settings: SegmentSettings, tracks: Tracks) -> Ints:
-    """Return the flat indices of the seed pixels, in the order of the tracks."""
-    seconds = image.time_s - tracks.time_s if len(tracks) else 0.0
-    places: list[Floats] = []
-    for i in np.flatnonzero(np.asarray(tracks.status) == TrackStatus.CONFIRMED):
-        place = tracks.state[i, POSITION] + max(seconds, 0.0) * tracks.state[i, VELOCITY]
-        if all(np.linalg.norm(place - other) > settings.seed_reach_m for other in places):
-            places.append(place)
-    seeds = np.full(len(places), -1, np.int32)
-    if places:
-        _nearest_pixels(np.array(places, np.float32), points.reshape(-1, 3), image.why.ravel(), seeds)
-    seen = [
-        seed
-        for seed, place in zip(seeds.tolist(), places, strict=True)
-        if seed >= 0 and np.linalg.norm(points.reshape(-1, 3)[seed] - place) <= settings.seed_reach_m
-    ]
-    return np.array(list(dict.fromkeys(seen)), np.int32)
-
-
-@njit(cache=True, nogil=True)
-def _nearest_pixels(places: Floats, points: Floats, why: Ints, seeds: Ints) -> None:
-    best = np.full(len(places), np.inf, np.float32)
-    for pixel in range(len(why)):
-        if why[pixel] == 0:
-            for k in range(len(places)):
-                away = np.float32(0)
-                for axis in range(3):
-                    away += (points[pixel, axis] - places[k, axis]) ** 2
-                if away < best[k]:
-                    best[k], seeds[k] = away, pixel
-
-
-def _grown(image: RangeImage, points: Floats, seeds: Ints, settings: SegmentSettings) -> Ints:
     labels = np.empty(image.shape, np.int32)
-    planes = (np.ascontiguousarray(p, np.float32) for p in (image.range_m, image.sigma_m, image.amplitude))
+    range_m, sigma_m, light = (
+        np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m, image.amplitude)
+    )
     limits = (
         math.tan(math.radians(settings.surface_incidence_deg)) ** 2,
         settings.surface_sigmas,
@@ -75,14 +29,79 @@ def _grown(image: RangeImage, points: Floats, seeds: Ints, settings: SegmentSett
         settings.connectivity,
         settings.min_pixels,
     )
-    _grow(np.ascontiguousarray(points, np.float32), *planes, np.ascontiguousarray(image.why), seeds, limits, labels)
+    _grow(
+        np.ascontiguousarray(points, np.float32),
+        range_m,
+        sigma_m,
+        light,
+        np.ascontiguousarray(image.why),
+        limits,
+        labels,
+    )
     return labels
 
 
+def region_growing_seeded(
+    image: RangeImage, points: Floats, settings: SegmentSettings, tracks: Tracks | None = None
+) -> Ints:
+    """Grow in 3D, each confirmed track of the last frame its own object from where it is expected on (S-SEG-05).
+
+    What `region_growing_3d` joins though several tracks are expected in it is shared among them: each point goes to the
+    nearest of their predicted positions, so that objects that touch part where they meet. A track has a say if a valid
+    pixel lies within `seed_reach_m` of where it is expected; of two as near to each other, the first alone. The first
+    keeps the label, those of the others come after all labels; a part below `min_pixels` stays with the first.
+    """
+    labels = region_growing_3d(image, points, settings)
+    places = _expected(image.time_s, settings, tracks) if tracks is not None and len(tracks) else np.zeros((0, 3))
+    if len(places) < 2 or not labels.any():
+        return labels
+    seeds = np.full(len(places), -1, np.int64)
+    _nearest_pixels(places.astype(np.float32), points, labels, settings.seed_reach_m, seeds)
+    seen = seeds >= 0
+    places, grown = places[seen], labels.ravel()[seeds[seen]]
+    most = int(labels.max())
+    for label in np.unique(grown):
+        inside = labels == label
+        its = places[grown == label]
+        owner = np.argmin(((points[inside][:, None] - its) ** 2).sum(axis=-1), axis=1)
+        parts = np.full(len(owner), label, np.int32)
+        for k in range(1, len(its)):
+            if np.count_nonzero(owner == k) >= settings.min_pixels:
+                most += 1
+                parts[owner == k] = most
+        labels[inside] = parts
+    return labels
+
+
+def _expected(time_s: float, settings: SegmentSettings, tracks: Tracks) -> Floats:
+    """Return where the confirmed tracks will be at that time (K, 3), those left out that are where another one is."""
+    seconds = max(time_s - tracks.time_s, 0.0)
+    places: list[Floats] = []
+    for i in np.flatnonzero(np.asarray(tracks.status) == TrackStatus.CONFIRMED):
+        place = tracks.state[i, POSITION] + seconds * tracks.state[i, VELOCITY]
+        if all(np.linalg.norm(place - other) > settings.seed_reach_m for other in places):
+            places.append(place)
+    return np.array(places).reshape(-1, 3)
+
+
 @njit(cache=True, nogil=True)
-def _grow(
-    points: Any, range_m: Any, sigma_m: Any, amplitude: Any, why: Any, seeds: Any, limits: Any, labels: Any
-) -> Any:
+def _nearest_pixels(places: Floats, points: Floats, labels: Ints, reach: float, seeds: Ints) -> None:
+    """Write the flat index of the labelled pixel nearest to each place, -1 where none is within reach."""
+    height, width = labels.shape
+    best = np.full(len(places), reach * reach, np.float32)
+    for row in range(height):
+        for column in range(width):
+            if labels[row, column] > 0:
+                for k in range(len(places)):
+                    away2 = np.float32(0)
+                    for axis in range(3):
+                        away2 += (points[row, column, axis] - places[k, axis]) ** 2
+                    if away2 <= best[k]:
+                        best[k], seeds[k] = away2, row * width + column
+
+
+@njit(cache=True, nogil=True)
+def _grow(points: Any, range_m: Any, sigma_m: Any, amplitude: Any, why: Any, limits: Any, labels: Any) -> None:
     """Give every pixel the label of what it grew from; drop what is small and number the rest without gaps."""
     height, width = labels.shape
     rows = np.array([0, 1, 0, -1, 1, 1, -1, -1])
@@ -94,12 +113,12 @@ def _grow(
             labels[row, column] = -1 if good else 0
     members, sizes = np.empty(height * width, np.int32), np.zeros(height * width + 1, np.int32)
     label, count, done = 0, 0, 0
-    for seed in seeds:
-        if labels[seed // width, seed % width] == -1:
-            label += 1
-            labels[seed // width, seed % width], members[count] = label, seed
-            count += 1
-    for start in range(height * width + 1):
+    for start in range(height * width):
+        if labels[start // width, start % width] != -1:
+            continue
+        label += 1
+        labels[start // width, start % width], members[count] = label, start
+        count += 1
         while done < count:
             row, column = members[done] // width, members[done] % width
             own = labels[row, column]
@@ -123,10 +142,6 @@ def _grow(
                             continue
                     labels[y, x], members[count] = own, y * width + x
                     count += 1
-        if start < height * width and labels[start // width, start % width] == -1:
-            label += 1
-            labels[start // width, start % width], members[count] = label, start
-            count += 1
     number = np.zeros(label + 1, np.int32)
     kept = 0
     for k in range(1, label + 1):

@@ -120,7 +120,7 @@ def _measure(
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
     for k in range(len(sums)):
-        if not math.isfinite(sums[k].sum() - sums[k, 9]):  # an amplitude may be missing
+        if not math.isfinite(sums[k, :9].sum()):  # an amplitude may be missing
             return False
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)

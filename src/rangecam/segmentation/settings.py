@@ -30,7 +30,7 @@ class SegmentSettings:
     surface_sigmas: NonNegative = 3.0
     """... give or take so many standard deviations of the difference of their ranges."""
     amplitude_difference: NonNegative = 0.0
-    """Region growing in 3D: amplitudes of neighbours may differ by this fraction of their mean; 0: they do not count."""
+    """Region growing in 3D: amplitudes of neighbours may differ by this fraction of their mean; 0: by any."""
     seed_reach_m: Positive = 0.3
     """Seeded region growing: how far from the predicted position of a track its first pixel may lie."""
     slice_m: Positive = 0.5
@@ -40,7 +40,7 @@ class SegmentSettings:
     cluster_radius_m: Positive = 1.5
     """k-means: farther from the middle of an object no point belongs to it."""
     histogram_of: Literal["depth", "range"] = "depth"
-    """Histogram and slices: count the distance along the vehicle's x axis (a plane ahead is one peak), or the radial range."""
+    """Histogram and slices: distance along the vehicle's x axis (a plane ahead is one peak), or the radial range."""
     bin_width_m: Positive = 0.05
     smoothing_bins: PositiveInt = 3
     """Histogram: number of bins averaged into each before looking for minima; even numbers act like the next odd."""
