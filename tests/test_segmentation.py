@@ -33,7 +33,7 @@ def image(range_m, sigma_m=0.01, why=None, amplitude=50.0):
 
 
 SUITED = {"connected_slices": {"slice_m": 0.7}, "k_means": {"cluster_radius_m": 4.0}}
-"""What a method needs so that the plates of these tests are not cut: no slice may end at one, each must fit a radius."""
+"""What a method needs so that it does not cut the plates of these tests: no slice ends at one, a radius holds all."""
 
 
 def labels_of(source, method, lens=LENS, mounting=LEVEL, **changes):
