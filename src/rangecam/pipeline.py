@@ -16,7 +16,7 @@ from rangecam.clean import clean
 from rangecam.config import Config
 from rangecam.geometry import to_world
 from rangecam.hdr import ranged
-from rangecam.segmentation import SEGMENTATION, measure_segments
+from rangecam.segmentation import measure_segments, segment
 from rangecam.tracking import update_tracks
 from rangecam.types import Capture, Ego, Frame, RangeImage, RawFrame, Tracks
 
@@ -46,7 +46,7 @@ def process_frame(
     image = step("ranging", ranged, RANGING[config.ranging], raw, camera)
     image = step("clean", clean, image, lens, mounting, config.clean, before)
     points = step("geometry", to_world, image, lens, mounting)
-    labels = step("segmentation", SEGMENTATION[config.segmentation], image, points, config.segments)
+    labels = step("segmentation", segment, config.segmentation, image, points, config.segments, tracks)
     segments = step("segments", measure_segments, labels, points, image, lens, mounting, config.segments)
     tracks = step("tracking", update_tracks, tracks, segments, image.time_s, config.tracking)
     tracks = step("classification", classify, tracks, config.classification)
@@ -64,7 +64,7 @@ def warm_up(capture: Capture, config: Config) -> None:
     plane = np.full(shape, 2.0, np.float32)
     image = RangeImage(0.0, plane, plane, plane, np.zeros(shape, np.uint8))
     points = to_world(image, lens, config.mounting)
-    SEGMENTATION[config.segmentation](image, points, config.segments)
+    segment(config.segmentation, image, points, config.segments, Tracks.empty())
     segments = measure_segments(np.ones(shape, np.int32), points, image, lens, config.mounting, config.segments)
     tracks = Tracks.empty()
     for time_s in (0.0, 0.1):

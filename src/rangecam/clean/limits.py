@@ -9,6 +9,7 @@ from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from rangecam.clean.floor_image import stored_floor
 from rangecam.clean.settings import CleanSettings
 from rangecam.geometry import Lens, Mounting, polar, position, rays, rotation
 from rangecam.types import Floats, Ints, Why
@@ -58,6 +59,8 @@ def floor_limit(range_m: Floats, why: Ints, lens: Lens, mounting: Mounting, sett
     """Return the range from which on each pixel sees the floor: (H, W) float32 m, inf where it never does."""
     if settings.floor == "mounting":
         return _mounting_floor(lens, mounting, why.shape, settings.floor_margin_m)
+    if settings.floor == "image":
+        return stored_floor(settings.floor_file, lens, mounting, why.shape, settings.floor_margin_m)
     if settings.floor == "fit":
         plane = fit_floor(range_m, why, lens)
         up = rotation(mounting).T @ np.array([0.0, 0.0, -1.0])

@@ -55,8 +55,11 @@ class CleanSettings:
     """Number of images over which the range of a pixel at rest is averaged; 1: off."""
     temporal_gate_sigmas: Positive = 3.0
     """A pixel whose range changed by more than so many standard deviations begins anew."""
-    floor: Literal["off", "mounting", "fit"] = "off"
-    """Remove the floor: where the mounting says it is, or where a plane fits the far side of the image."""
+    floor: Literal["off", "mounting", "fit", "image"] = "off"
+    """Remove the floor: where the mounting says it is, where a plane fits the far side of the image, or where an image
+    that was taken without objects saw it."""
+    floor_file: str = ""
+    """File (.npz) with images of the bare floor, as `rangecam run ... --images FILE` writes it."""
     floor_max_tilt_deg: Annotated[float, Interval(ge=0, le=90)] = 20.0
     """A fitted plane that leans further than this away from the floor of the mounting is no floor."""
     floor_margin_m: NonNegative = 0.1

@@ -44,18 +44,19 @@ def geometry_messages(config: Config, shape: tuple[int, int], time_s: float) -> 
 
 
 def _calibration(lens: Lens, shape: tuple[int, int], time_s: float) -> CameraCalibration:
-    """Return the pinhole matrices of a perspective lens.
+    """Return the pinhole matrices of a perspective lens and its distortion.
 
     An equiangular lens has none: its distortion model is named so, with the angles from pixel to pixel (rad,
-    across columns and rows) as parameters.
+    across columns and rows) as parameters; nor has a lens whose rays a table gives, which is named "table".
     """
     height, width = shape
     pitch_h, pitch_v = pixel_pitch(lens, shape)
-    if lens.projection == "equiangular":
-        model, parameters, K, P = "equiangular", [pitch_h, pitch_v], [], []
+    if lens.table or lens.projection == "equiangular":
+        model, parameters, K, P = "table" if lens.table else "equiangular", [pitch_h, pitch_v], [], []
     else:
-        fx, fy, cx, cy = 1 / pitch_h, 1 / pitch_v, (width - 1) / 2, (height - 1) / 2
-        model, parameters = "plumb_bob", [0.0] * 5
+        fx, fy = 1 / pitch_h, 1 / pitch_v
+        cx, cy = (width - 1) / 2 + width * lens.axis_right, (height - 1) / 2 + height * lens.axis_down
+        model, parameters = "plumb_bob", [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
         K, P = [fx, 0, cx, 0, fy, cy, 0, 0, 1], [fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0]
     return CameraCalibration(
         timestamp=timestamp(time_s),

@@ -12,7 +12,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from rangecam.errors import UsageError
-from rangecam.geometry import Lens, Mounting, pixel_pitch, position, rays, rotation
+from rangecam.geometry import Lens, Mounting, is_plain, pixel_of, pixel_pitch, pixel_steps, position, rays, rotation
 from rangecam.scene.paths import Vector
 from rangecam.scene.view import View
 from rangecam.settings import Fraction, NonNegative, Positive, settings
@@ -183,6 +183,10 @@ def rain_fall_mps(diameter_m: Floats) -> Floats:
 
 def pixel_solid_angles(lens: Lens, shape: tuple[int, int]) -> Floats:
     """Return the solid angle that each pixel sees, sr (H, W)."""
+    if not is_plain(lens):
+        steps = pixel_steps(lens, shape)
+        bent: Floats = np.linalg.norm(np.cross(steps[:, :, 0], steps[:, :, 1]), axis=-1)
+        return bent
     across, down = pixel_pitch(lens, shape)
     directions = rays(lens, shape)
     x, level = directions[..., 0], np.hypot(directions[..., 0], directions[..., 1])
@@ -317,12 +321,7 @@ def _covered(
 
 def _pixels(points_m: Floats, lens: Lens, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the flat index of the pixel that sees each point in camera axes, and whether there is one: (N,)."""
-    (height, width), (across, down) = shape, pixel_pitch(lens, shape)
-    x, y, z = points_m.T
-    if lens.projection == "perspective":
-        left, up = y / x, z / x
-    else:
-        left, up = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
-    column, row = np.floor(width / 2 - left / across), np.floor(height / 2 - up / down)
+    height, width = shape
+    row, column = (np.floor(place + 0.5) for place in pixel_of(points_m, lens, shape))
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return np.where(inside, row * width + column, 0).astype(np.intp), inside
