@@ -65,7 +65,7 @@ class MachineSettings:
     standstill_time_s: NonNegative = 0.3
     """It must stand for so long before control is given back."""
     recovery_images: PositiveInt = 10
-    """Good images in a row that end a fault, at standstill."""
+    """Good images in a row that end a fault, at standstill, while nothing else is wrong."""
     give_back_time_s: Positive = 0.2
     """The give-back message is repeated for so long; then silence, which ends the control as well (E-S-25)."""
     brake: Annotated[float, Interval(gt=0, le=1)] = 1.0
@@ -153,7 +153,7 @@ class BrakeState:
     cause: of the braking, or of the last one. number: calls so far.
     perception, car: the last good ones (in a fault the last ones, so that a restarted camera is taken up again).
     image_s, car_s: arrival of the last good one. image_fault, car_fault: what was wrong with the last bad one since.
-    good_images: in a row, up to as many as are needed. speed_mps: of the car, which may exceed that of its wheels.
+    good_images: in a row without a fault, up to as many as are needed. speed_mps: of the car, which may exceed that of its wheels.
     standing_s: arrival of the first good car state in a row that says standstill, inf where it does not.
     released_s: when control was given back last.
     """
@@ -188,7 +188,8 @@ def _change_mode(state: BrakeState, time_s: float, settings: MachineSettings) ->
     fault = _fault(state, time_s, settings)
     if fault is not None:
         since_s = state.cause.since_s if state.mode is Mode.FAULT else time_s
-        return replace(state, mode=Mode.FAULT, cause=Cause(fault, fault.value, since_s, time_s))
+        cause = Cause(fault, fault.value, since_s, time_s)
+        return replace(state, mode=Mode.FAULT, cause=cause, good_images=0, standing_s=math.inf)
     if state.mode is Mode.USER_CONTROL:
         if not _must_stop(state, settings):
             return state

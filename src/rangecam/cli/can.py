@@ -1,4 +1,4 @@
-"""`rangecam can`: watch the car's bus and send to it, in place of a vendor's bus tool (Steinbäck 2016, appendix A.6)."""
+"""`rangecam can`: watch the car's bus and send to it, in place of a vendor's bus tool (Steinbäck 2016, A.6)."""
 
 import json as json_format
 import time
