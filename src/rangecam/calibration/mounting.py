@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rangecam.calibration.distance import mean_plane
 from rangecam.errors import DataError
@@ -60,9 +61,9 @@ def fit_mounting(
     )
 
 
-def _near(height_m: Floats, sigma_m: Floats) -> Floats:
+def _near(height_m: Floats, sigma_m: Floats) -> NDArray[np.bool_]:
     """Return which points (bool) lie on the floor, as far as their noise lets that be said."""
-    near: Floats = np.abs(height_m) < _BAND_SIGMAS * sigma_m + _BAND_M
+    near: NDArray[np.bool_] = np.abs(height_m) < _BAND_SIGMAS * sigma_m + _BAND_M
     return near
 
 
