@@ -165,6 +165,37 @@ def test_covariance_in_camera_axes_has_the_signs_of_the_jacobian():
     assert covariance[1, 2] == pytest.approx(3.21e-5, rel=0.02)
 
 
+def test_covariance_with_the_printed_signs_is_not_that_of_many_noisy_angles():
+    # E-K-22: N-K-082's angles and range, scattered; table 6.2 prints all angular terms with a plus
+    rng, mean, sigma = np.random.default_rng(6), np.array([*np.radians([12.0, 3.0]), 15.0]), np.array([0.01, 0.01, 0.1])
+    azimuth, elevation, range_m = (mean + sigma * rng.standard_normal((400_000, 3))).T
+    scattered = np.cov(cartesian(azimuth, elevation, range_m).T)
+    (ca, sa), (ce, se) = ((np.cos(a), np.sin(a)) for a in mean[:2])
+    columns = [[-15 * sa * ce, -15 * ca * se, ca * ce], [15 * ca * ce, -15 * sa * se, sa * ce], [0.0, 15 * ce, se]]
+    corrected, printed = np.array(columns) * sigma, np.abs(columns) * sigma
+    assert_allclose(corrected @ corrected.T, scattered, atol=3e-4)
+    assert np.abs(printed @ printed.T - scattered).max() > 2e-3
+
+
+def test_the_printed_angles_of_a_pixel_are_those_of_the_image_turned_on_its_side():
+    # E-S-02: alpha = (x - 60) / 2 with x across 160 columns leaves the lens of 60 degrees; rows belong to 60
+    lens = Lens(horizontal_fov_deg=80, vertical_fov_deg=60, projection="equiangular")
+    azimuth, elevation, _ = polar(rays(lens, (120, 160)))
+    rows, columns = np.indices((120, 160))
+    assert_allclose(np.degrees(elevation), -(rows - 59.5) * 0.5, atol=1e-9)
+    assert_allclose(np.degrees(azimuth), -(columns - 79.5) * 0.5, atol=1e-9)
+    assert np.max((columns - 60) * 0.5) == 49.5 > np.degrees(elevation).max()
+
+
+def test_the_product_of_cosines_is_no_depth_of_a_perspective_pixel():
+    # E-S-03: -5.3 % in the corner for angles of each axis, -21 cm on a plane at 4 m
+    ray = rays(Lens(horizontal_fov_deg=80, vertical_fov_deg=60), (120, 160))[0, 0]
+    exact = 1 / np.linalg.norm(ray / ray[0])
+    printed = np.cos(np.arctan2(ray[1], ray[0])) * np.cos(np.arctan2(ray[2], ray[0]))
+    assert ray[0] == pytest.approx(exact)
+    assert printed / exact - 1 == pytest.approx(-0.053, abs=0.003)
+
+
 @pytest.mark.parametrize("lens", LENSES, ids=repr)
 def test_covariance_is_that_of_many_noisy_pixels(lens):
     """Pixel position and range scattered 100,000 times, for points within 20 degrees of the axis of a turned camera."""

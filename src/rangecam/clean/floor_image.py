@@ -20,8 +20,8 @@ def stored_floor(path: str, lens: Lens, mounting: Mounting, shape: tuple[int, in
 
     The file holds `range_m` and `why` (N, H, W) of N images of the bare floor; of each pixel counts the median of those
     in which it saw something. Whatever is less than `margin_m` above that belongs to the floor; where it lies above
-    half of the height of the camera (a wall), or that is not known, whatever is less than that before it. Raises UsageError for no file, or one of another shape,
-    DataError for one that holds no such images.
+    half of the height of the camera (a wall), or that is not known, whatever is less than that before it. Raises
+    UsageError for no file, or one of another shape, DataError for one that holds no such images.
     """
     range_m = _read(path)
     if range_m.shape[1:] != shape:

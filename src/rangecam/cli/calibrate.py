@@ -150,6 +150,51 @@ def scattering(
     _finish("scattering", opened, how, {})
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """What finding the mounting is told."""
+
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Write the mounting to this file (.toml).")]
+    preset: Preset = None
+    config: ConfigFile = None
+    set_: Set = field(default_factory=list)
+    json: Json = False
+
+
+@calibrate.command
+def mounting(
+    recording: str,
+    *,
+    where: Where,
+) -> None:
+    """Take height, pitch and roll from RECORDING of a floor at rest, empty or not; use with --config FILE."""
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from rangecam.calibration import fit_mounting
+    from rangecam.cli.running import open_with_notes
+    from rangecam.hdr import ranged
+    from rangecam.io.files import check_target, replacing
+    from rangecam.pipeline import RANGING
+
+    check_target(where.output)
+    source = open_with_notes(recording, where.preset, where.config, where.set_, 0)
+    camera, method = source.config.camera, RANGING[source.config.ranging]
+    images = (ranged(method, capture.raw, camera) for capture in source.captures)
+    fit = fit_mounting(images, camera.lens, source.config.mounting, np.random.default_rng(0))
+    found = asdict(fit)
+    pose = found.pop("mounting")
+    text = "[mounting]\n" + "\n".join(f"{name} = {value:.6g}" for name, value in pose.items()) + "\n"
+    with replacing(where.output) as part:
+        part.write_text(text, encoding="utf-8")
+    if where.json:
+        print(json_format.dumps({"step": "mounting", "output": str(where.output), "mounting": pose, "found": found}))
+    else:
+        print(f"{text}\n{_lines(found)}\nmounting    {where.output} (use it with --config {where.output})")
+
+
 def _open(recordings: Sequence[str], how: How, numbered: bool | None) -> "list[Recording]":
     """Open recordings without the calibration that they may hold; numbered: each is NUMBER=RECORDING, None: may be."""
     from rangecam.calibration import Recording
