@@ -340,12 +340,16 @@ class Tracks(Rows):
 
 @dataclass(frozen=True)
 class Ego:
-    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear."""
+    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear.
+
+    braking: whether it brakes for an object already, so that the decision does not flicker.
+    """
 
     time_s: float = float("nan")
     speed_mps: float | None = None
     yaw_rate_radps: float = 0.0
     forward: bool = True
+    braking: bool = False
 
 
 class Side(IntEnum):
