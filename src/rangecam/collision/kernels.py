@@ -134,7 +134,9 @@ def _longitudinal(P: Floats, base: int, t: float, limits: Floats) -> tuple[float
     speed were so much less certain now.
     """
     fixed = limits[7] if base == 0 else limits[8] ** 2 / 4
-    return P[base, base] + fixed, P[base, base + 1], P[base + 1, base + 1] + limits[6] * t / 3
+    dd, vv = max(P[base, base] + fixed, 0.0), max(P[base + 1, base + 1] + limits[6] * t / 3, 0.0)
+    most = math.sqrt(dd * vv)
+    return dd, min(max(P[base, base + 1], -most), most), vv
 
 
 @njit(cache=True, nogil=True)
