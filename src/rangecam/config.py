@@ -81,7 +81,7 @@ def load_config(preset: str | None = None, *layers: Tree) -> Config:
     config = parse(Config, values, "configuration")
     if config.camera.kind == "cw" and config.camera.registers:
         config = replace(config, camera=written(config.camera))
-    known = {
+    known: dict[str, Any] = {
         "pixel_pitch_deg": _pitch_deg(config.camera),
         "frame_period_s": 1 / config.camera.frame_rate_hz,
         "range_m": _range_m(config),

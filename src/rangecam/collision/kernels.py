@@ -101,8 +101,8 @@ def _collision(
     if distance > 0 and side != _LEFT and side != _RIGHT and side != _REAR:
         t, face, gap, v, a, base = time_to_reach(distance, where[2], where[4]), _FRONT, distance, where[2], where[4], 0
     else:
-        sign = -1.0 if side == _RIGHT or side == _REAR else 1.0
-        base = 0 if side == _REAR or side == _FRONT else 3
+        sign = -1.0 if side in (_RIGHT, _REAR) else 1.0
+        base = 0 if side in (_REAR, _FRONT) else 3
         k = 0 if base == 0 else 1
         t, face = met, side
         gap, v, a = sign * where[k] - outline[k], sign * where[2 + k], sign * where[4 + k]

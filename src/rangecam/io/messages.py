@@ -51,7 +51,9 @@ def _schema(**properties: Any) -> dict[str, Any]:
 
 SCHEMAS = {
     "rangecam.Frame": _schema(frame_id=_INTEGER, time_s=_NUMBER, topics=_TEXTS),
-    "rangecam.Ego": _schema(time_s=_NUMBER, speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, forward=_BOOLEAN, braking=_BOOLEAN),
+    "rangecam.Ego": _schema(
+        time_s=_NUMBER, speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, forward=_BOOLEAN, braking=_BOOLEAN
+    ),
     "rangecam.Truth": _schema(names=_TEXTS, positions_m=_ROWS, velocities_mps=_ROWS),
     "rangecam.Tracks": _schema(
         time_s=_NUMBER,
@@ -179,7 +181,12 @@ def capture_messages(capture: Capture) -> Iterator[Topic]:
     raw, ego, truth = capture.raw, capture.ego, capture.truth
     for name, plane in raw.planes.items():
         yield RAW + name, image_message(plane, raw.time_s)
-    values = {"time_s": ego.time_s, "yaw_rate_radps": ego.yaw_rate_radps, "forward": ego.forward, "braking": ego.braking}
+    values = {
+        "time_s": ego.time_s,
+        "yaw_rate_radps": ego.yaw_rate_radps,
+        "forward": ego.forward,
+        "braking": ego.braking,
+    }
     if ego.speed_mps is not None:
         values["speed_mps"] = ego.speed_mps
     yield "/ego", Json("rangecam.Ego", values)
@@ -225,7 +232,9 @@ def read_capture(messages: Mapping[str, bytes]) -> Capture:
         topic = "/ego"
         ego = json.loads(messages[topic])
         speed = float(ego["speed_mps"]) if "speed_mps" in ego else None
-        state = Ego(float(ego["time_s"]), speed, float(ego["yaw_rate_radps"]), bool(ego["forward"]), bool(ego.get("braking")))
+        state = Ego(
+            float(ego["time_s"]), speed, float(ego["yaw_rate_radps"]), bool(ego["forward"]), bool(ego.get("braking"))
+        )
         topic = "/truth"
         truth = _read_truth(messages) if topic in messages else None
     except DataError as error:

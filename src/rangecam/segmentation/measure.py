@@ -32,7 +32,21 @@ def measure_segments(
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
     known = _known(lens, mounting, shape, settings)
-    _measure(labels, np.ascontiguousarray(points), *planes, why, known, position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut)
+    _measure(
+        labels,
+        np.ascontiguousarray(points),
+        *planes,
+        why,
+        known,
+        position_m,
+        size_m,
+        sigmas,
+        means,
+        n_pixels,
+        box,
+        nearest_m,
+        cut,
+    )
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
@@ -187,7 +201,16 @@ _NEAR_BINS = 32
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _evaluate(
-    sums: Any, bounds: Any, box: Any, known: Any, position_m: Any, size_m: Any, sigmas: Any, means: Any, n_pixels: Any, cut: Any
+    sums: Any,
+    bounds: Any,
+    box: Any,
+    known: Any,
+    position_m: Any,
+    size_m: Any,
+    sigmas: Any,
+    means: Any,
+    n_pixels: Any,
+    cut: Any,
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]

@@ -160,7 +160,9 @@ def _judged(frame: Frame, drawn: Drive, config: Config, nis: Floats) -> Outcome 
     )
 
 
-def drives(count: int, seed: int = 0, layers: Sequence[dict[str, Any]] = (WELL_MODELLED,), jobs: int = 1) -> list[Outcome]:
+def drives(
+    count: int, seed: int = 0, layers: Sequence[dict[str, Any]] = (WELL_MODELLED,), jobs: int = 1
+) -> list[Outcome]:
     """Return the outcomes of `count` random drives; those whose object has no track yet are left out."""
     one, seeds = partial(drive, layers=tuple(layers)), range(seed, seed + count)
     if jobs == 1:
@@ -169,3 +171,100 @@ def drives(count: int, seed: int = 0, layers: Sequence[dict[str, Any]] = (WELL_M
         with ProcessPoolExecutor(jobs) as pool:
             found = list(pool.map(one, seeds, chunksize=8))
     return [outcome for outcome in found if outcome is not None]
+
+
+def honesty(rng: np.random.Generator, count: int = 80, jobs: int = 1) -> Study:
+    """Whether time to collision, collision probability and innovations hold what they state, over simulated drives."""
+    seed = int(rng.integers(2**31))
+    told = drives(count, seed, jobs=jobs)
+    wrong = drives(max(count // 8, 6), seed, (WELL_MODELLED, OVERCONFIDENT), jobs)
+    covered, intervals = _intervals(told)
+    calibrated, reliability = _reliability(told)
+    return Study(
+        "honesty",
+        "K 6.5, K-CLS-03, K-CLS-04: prediction of collisions",
+        [*covered, *calibrated, *_innovations(told, wrong)],
+        [intervals, reliability, _surface(told)],
+    )
+
+
+_CONFIDENCE = 0.99
+
+
+def binomial_bounds(hits: int, count: int, confidence: float) -> tuple[float, float]:
+    """Return between which rates `hits` of `count` leave the true one at this confidence (Clopper and Pearson 1934)."""
+    tail = (1 - confidence) / 2
+    low = float(beta.ppf(tail, hits, count - hits + 1)) if hits > 0 else 0.0
+    high = float(beta.ppf(1 - tail, hits + 1, count - hits)) if hits < count else 1.0
+    return low, high
+
+
+def _intervals(told: Sequence[Outcome]) -> tuple[list[Claim], Panel]:
+    """Return whether the quantiles of the time to collision are exceeded as often as they say."""
+    quantiles, ttc_s = np.array([each.quantiles_s for each in told]), np.array([each.ttc_s for each in told])
+    claims = []
+    for low, high, share in ((1, 3, 0.68), (0, 4, 0.95)):
+        inside = int(((ttc_s >= quantiles[:, low]) & (ttc_s <= quantiles[:, high])).sum())
+        bounds = binomial_bounds(inside, len(told), _CONFIDENCE)
+        text = f"true time to collision within its {share:.0%} interval, {len(told)} drives"
+        why = f"{share:g} between {bounds[0]:.3f} and {bounds[1]:.3f}, which the count leaves at 99 %"
+        agrees = bounds[0] <= share <= bounds[1]
+        claims.append(judged("K-CLS-03", text, None, inside / len(told), "", agrees, why))
+    shares = np.linspace(0.02, 0.98, 25)
+    half_width = np.maximum((quantiles[:, 3] - quantiles[:, 1]) / 2, 1e-9)
+    place = np.sort(np.abs(ttc_s - quantiles[:, 2]) / half_width)
+    known = place[np.minimum((shares * len(place)).astype(int), len(place) - 1)]
+    stated = np.array([math.erf(each / math.sqrt(2)) for each in known])
+    series = [Series("drives", stated, shares, None, "o-"), Series("as stated", [0, 1], [0, 1], None, "--")]
+    return claims, Panel("Time to collision", "stated share of its interval", "share of drives within", series)
+
+
+def _reliability(told: Sequence[Outcome]) -> tuple[list[Claim], Panel]:
+    """Return whether of the drives with a stated probability that share ends in a collision, in ten bins."""
+    p, hits = np.array([each.p_collision for each in told]), np.array([each.hits for each in told])
+    claims, rows = [], []
+    for k in range(10):
+        those = (p >= k / 10) & ((p < (k + 1) / 10) | (k == 9))
+        if not those.any():
+            continue
+        said, n, hit = float(p[those].mean()), int(those.sum()), int(hits[those].sum())
+        low, high = binomial_bounds(hit, n, 1 - (1 - _CONFIDENCE) / 10)
+        rows.append((said, hit / n, n, low - 0.02 <= said <= high + 0.02, low, high))
+        text = f"collisions of {n} drives stated with {k / 10:.1f} to {k / 10 + 0.1:.1f}, {said:.3f} on the average"
+        why = f"{low:.3f} to {high:.3f} at 99 % for all bins, and 0.02 that the method is good to"
+        claims.append(judged("K-CLS-04", text, None, hit / n, "", rows[-1][3], why))
+    said, came, n, _, low, high = np.array(rows).T
+    series = [
+        Series("drives", said, came, (high - low) / 4),
+        Series("as stated", [0, 1], [0, 1], None, "--"),
+    ]
+    return claims, Panel("Collision probability", "stated", "share that collides", series)
+
+
+def _innovations(told: Sequence[Outcome], wrong: Sequence[Outcome]) -> list[Claim]:
+    """Return whether innovations are as large as their covariance says, and that a wrong model shows."""
+    bound = chi_square_bounds(3, probability=0.9)[1]  # its upper end: 95 % below
+    claims = []
+    for what, outcomes, fits in (("well-modelled", told, True), ("wrong on purpose", wrong, False)):
+        nis = np.concatenate([each.nis for each in outcomes])
+        inside = float(np.mean(nis <= bound))
+        text = f"normalised innovations squared below the 95 % bound of chi-square, {what}"
+        why = f"{len(nis)} frames; " + ("95 %, within 3" if fits else "far from 95 %")
+        agrees = 0.92 <= inside <= 0.98 if fits else inside < 0.8
+        claims.append(judged("K-KAL-08", text, None, inside, "", agrees, why))
+        mean = float(nis.mean() / 3)
+        text = f"mean of the same over its three degrees of freedom, {what}"
+        why = "1 +- 0.2: rows of pixels hold an edge still, which then jumps" if fits else "far above 1"
+        agrees = 0.8 < mean < 1.2 if fits else mean > 2
+        claims.append(judged("K-KAL-08", text, None, mean, "", agrees, why))
+    return claims
+
+
+def _surface(told: Sequence[Outcome]) -> Panel:
+    """Return how far off the nearest surface is, over its distance."""
+    at_m = [each.distance_m for each in told]
+    series = [
+        Series("nearest surface / m", at_m, [each.distance_error_m for each in told], None, "."),
+        Series("closing speed / (m/s)", at_m, [each.speed_error_mps for each in told], None, "."),
+    ]
+    return Panel("Errors of distance and speed", "distance / m", "estimated less true", series)
