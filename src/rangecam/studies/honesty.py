@@ -29,10 +29,11 @@ WELL_MODELLED: dict[str, Any] = {
 }
 """What the tracker expects is how the objects of the drives move: their velocity drifts."""
 OVERCONFIDENT: dict[str, Any] = {
-    "tracking": {"position_sigma_m": 0.0, "motion": {"velocity_drift_mps": 0.0}},
+    "tracking": {"gate_probability": 1.0, "motion": {"velocity_drift_mps": 0.0}},
     "segments": {"sigma_systematic_m": 0.0, "edge_step": 0.0, "edge_jitter": 0.0},
 }
-"""A model that is wrong on purpose: nothing moves but steadily, and nothing is measured badly but by noise."""
+"""A model that is wrong on purpose: nothing moves but steadily, and nothing is measured badly but by noise. With the
+gate open, for else the tracks would be seen no more."""
 
 
 @dataclass(frozen=True, eq=False)
