@@ -209,7 +209,7 @@ def test_every_rule_can_be_chosen_by_name() -> None:
         (-3.0, 1.6, None, 0.0),  # may as well be at rest
         (2.0, 0.1, None, 0.0),
         (-2.9, 0.1, 3.0, 3.0),  # a standing object: the own speed is known better
-        (0.0, 5.0, 3.0, 3.0),  # a new track: nothing speaks against a standing object
+        (0.0, 5.0, 3.0, 0.0),  # a new track: it may as well drive ahead of us
         (0.0, 0.1, 3.0, 0.0),  # drives ahead of us
         (-1.0, 0.1, 3.0, 1.0),  # drives ahead more slowly
         (-6.0, 0.1, 3.0, 6.0),  # comes towards us

@@ -37,7 +37,12 @@ def one_track(state: object, covariance: object = 1e-8, size: object = NO_SIZE, 
     return Tracks(**fields, time_s=1.0, next_id=8)  # type: ignore[arg-type]
 
 
+CERTAIN = {"drift_mps": 0.0, "surface_sigma_m": 0.0, "size_sigma_m": 0.0}
+"""Nothing is uncertain but what the track says."""
+
+
 def predict(tracks: Tracks, ego: Ego | None = None, **settings: object) -> Collisions:
+    settings = CERTAIN | settings
     return look_ahead(tracks, ego or Ego(), CorridorSettings(**settings), 0.5)[0]  # type: ignore[arg-type]
 
 
@@ -113,13 +118,14 @@ def test_the_sigma_of_the_time_is_that_of_monte_carlo(use_acceleration: bool) ->
 @pytest.mark.parametrize("use_acceleration", [False, True])
 def test_the_probability_is_that_of_monte_carlo(state: list[float], use_acceleration: bool) -> None:
     tracks = one_track(state, correlated(0.05), size=(0.0, 0.5, 1.0))
-    x, v, a, y, vy, ay = samples(tracks).T
+    x, v, a, y, vy, ay = samples(tracks, 20_000).T
     a, ay = a * use_acceleration, ay * use_acceleration
-    with np.errstate(invalid="ignore", divide="ignore"):
-        t = 2 * x / (np.sqrt(v * v - 2 * a * x) - v)
-        hit = (t > 0) & (t < 3.0) & (np.abs(y + vy * t + ay * t * t / 2) < (1.0 + 0.5) / 2)
+    hit = np.zeros(len(x), bool)
+    for t in np.linspace(0, 3.0, 600):
+        along, across = x + v * t + a * t * t / 2, y + vy * t + ay * t * t / 2
+        hit |= (along < 0) & (along > -1.0) & (np.abs(across) < (1.0 + 0.5) / 2)
     collisions = predict(tracks, width_m=1.0, horizon_s=3.0, use_acceleration=use_acceleration)
-    assert collisions.p_collision[0] == pytest.approx(hit.mean(), abs=0.03)
+    assert collisions.p_collision[0] == pytest.approx(hit.mean(), abs=0.02 + 4 * 0.5 / np.sqrt(20_000))
 
 
 def test_a_walker_who_will_have_left_is_no_collision_and_one_who_will_be_there_is() -> None:
@@ -137,7 +143,7 @@ def test_the_wider_the_corridor_or_the_longer_the_horizon_the_likelier_the_colli
     by_time = [predict(tracks, width_m=4.0, horizon_s=h).p_collision[0] for h in (1.0, 3.0, 3.5, 6.0)]
     assert by_width == sorted(by_width)
     assert by_time == sorted(by_time)
-    assert by_time[0] < 0.01 < 0.9 < by_time[-1]
+    assert by_time[0] < 0.01 < 0.85 < by_time[-1]
 
 
 @pytest.mark.parametrize("speed_known", [True, False])

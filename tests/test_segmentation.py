@@ -369,11 +369,28 @@ def test_lateral_sigma_is_a_fixed_part_and_the_jitter_of_the_outline():
     labels = np.zeros(SHAPE, int)
     labels[20:36, 39:41] = 1
     lens = Lens(horizontal_fov_deg=50, projection="equiangular")
-    segment = measured(labels, image(np.full(SHAPE, 3.0)), lens, sigma_pixel=0.02, edge_jitter=0.4)[0]
+    segment = measured(labels, image(np.full(SHAPE, 3.0)), lens, sigma_pixel=0.02, edge_jitter=0.4, edge_step=0.0)[0]
     pixel = np.radians(50) / 80 * 3.0
     lateral, vertical = np.sqrt(np.diag(segment.covariance_m2))[1:]
     assert lateral == pytest.approx(pixel * np.hypot(0.02, 0.4 / np.sqrt(2 * 16)), rel=0.01)
     assert vertical == pytest.approx(pixel * np.hypot(0.02, 0.4 / np.sqrt(2 * 2)), rel=0.02)
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_straight_edge_anywhere_between_two_columns_scatters_the_centroid_as_stated(cut):
+    """A box at any place covers whole columns: its centroid is off by the mean of two even errors, cut off by one."""
+    rng, error, stated = np.random.default_rng(11), [], 0.0
+    lens = Lens(horizontal_fov_deg=20, projection="equiangular")
+    pitch, ranges = np.radians(20) / 80, image(np.full((20, 80), 3.0))
+    for _ in range(600):
+        left, right = rng.uniform(8, 20), rng.uniform(50, 60)
+        left = 0.0 if cut else left
+        labels = np.zeros((20, 80), int)
+        labels[5:15, round(left) : round(right)] = 1
+        segment = measured(labels, ranges, lens, sigma_pixel=0.0, edge_jitter=0.0)[0]
+        error.append(segment.position_m[1] - 3.0 * pitch * (40 - (left + right) / 2))
+        stated = np.sqrt(segment.covariance_m2[1, 1])
+    assert np.std(error) == pytest.approx(stated, rel=0.1)
 
 
 def test_outline_that_flickers_scatters_the_centroid_as_stated():
@@ -386,7 +403,7 @@ def test_outline_that_flickers_scatters_the_centroid_as_stated():
         first, last = (edge + rng.choice([-1, 0, 1], 20, p=[0.245, 0.51, 0.245]) for edge in (30, 50))
         for row in range(20):
             labels[row, first[row] : last[row]] = 1
-        segment = measured(labels, source, lens, sigma_pixel=0.0, edge_jitter=0.7)[0]
+        segment = measured(labels, source, lens, sigma_pixel=0.0, edge_jitter=0.7, edge_step=0.0)[0]
         y.append(segment.position_m[1])
         stated = np.sqrt(segment.covariance_m2[1, 1])
     assert np.std(y) == pytest.approx(stated, rel=0.1)

@@ -74,16 +74,21 @@ class Config:
 def load_config(preset: str | None = None, *layers: Tree) -> Config:
     """Return the configuration of a preset (default: scaled_car) with `layers` of settings over it, the last winning.
 
-    `decision.pixel_pitch_deg` is that of the camera, `segments.shared_noise_pixels` that of the filters of
-    ranging and `clean`, unless a layer sets them.
+    `decision.pixel_pitch_deg`, `decision.frame_period_s` and `decision.range_m` are those of the camera,
+    `segments.shared_noise_pixels` that of the filters of ranging and `clean`, unless a layer sets them.
     Raises UsageError for an unknown preset, an unknown setting or an impossible value, naming it and what is allowed.
     """
     values = merge(preset_tree(preset or "scaled_car"), *layers)
     config = parse(Config, values, "configuration")
     if config.camera.kind == "cw" and config.camera.registers:
         config = replace(config, camera=written(config.camera))
-    if "pixel_pitch_deg" not in values.get("decision", {}):
-        config = replace(config, decision=replace(config.decision, pixel_pitch_deg=_pitch_deg(config.camera)))
+    known: dict[str, Any] = {
+        "pixel_pitch_deg": _pitch_deg(config.camera),
+        "frame_period_s": 1 / config.camera.frame_rate_hz,
+        "range_m": _range_m(config),
+    }
+    left = {key: value for key, value in known.items() if key not in values.get("decision", {})}
+    config = replace(config, decision=replace(config.decision, **left))
     if "shared_noise_pixels" not in values.get("segments", {}):
         shared = shared_noise_pixels(config.clean)
         if config.camera.kind == "cw":
@@ -98,6 +103,18 @@ def _pitch_deg(camera: CwCamera | PulsedCamera | ProcessedCamera) -> float:
     """Return the angle between neighbouring pixels in the image centre, the geometric mean of both directions."""
     across, down = pixel_pitch(camera.lens, (camera.rows, camera.columns))
     return math.degrees(math.sqrt(across * down))
+
+
+def _range_m(config: Config) -> float | None:
+    """Return the free way before the vehicle within which objects can be measured, None where nothing limits it.
+
+    The camera's own range or unambiguous range, and the end of the area of interest (E-S-21, N-S-017).
+    """
+    camera = config.camera
+    own_m = cw.interval_m(camera) if camera.kind == "cw" else camera.max_range_m
+    ends_m = [end for end in (own_m, config.clean.x_max_m) if end is not None]
+    front_m = config.decision.corridor.front_m
+    return max(min(ends_m) - front_m, 1e-3) if ends_m else None
 
 
 def preset_names() -> list[str]:

@@ -340,12 +340,30 @@ class Tracks(Rows):
 
 @dataclass(frozen=True)
 class Ego:
-    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear."""
+    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear.
+
+    braking: whether it brakes for an object already, so that the decision does not flicker.
+    """
 
     time_s: float = float("nan")
     speed_mps: float | None = None
     yaw_rate_radps: float = 0.0
     forward: bool = True
+    braking: bool = False
+
+
+class Side(IntEnum):
+    """Where an object hits us."""
+
+    NONE = 0
+    FRONT = 1
+    LEFT = 2
+    RIGHT = 3
+    REAR = 4
+
+
+QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
+"""Of the time to collision: between the outer two it lies with 95 %, between the inner two with 68 %."""
 
 
 @value
@@ -353,13 +371,20 @@ class Collisions(Rows):
     """What each track would do to us: row i belongs to row i of `Tracks`.
 
     ttc_s, ttc_sigma_s (N,): time to collision and its standard deviation; inf and NaN where there is none (K-CLS-03).
-    lateral_m (N,): y of the track when it reaches us. p_collision (N,): probability that it hits the ego corridor.
+    lateral_m (N,): y of the track when it reaches us. p_collision (N,): probability that it hits our outline.
+    ttc_quantiles_s (N, 5): of the time to collision, see `QUANTILES`; inf where even that share may never come.
+    side (N,) int: `Side` that is hit on the expected way, else the likeliest one.
+    closest_m, closest_s (N,): smallest gap on the expected way until the horizon (0 at a contact), and in which time.
     """
 
     ttc_s: Floats
     ttc_sigma_s: Floats
     lateral_m: Floats
     p_collision: Floats
+    ttc_quantiles_s: Floats
+    side: Ints
+    closest_m: Floats
+    closest_s: Floats
 
 
 @value

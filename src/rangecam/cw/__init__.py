@@ -2,7 +2,7 @@
 
 from rangecam.cw import ranging
 from rangecam.cw.calibrate import CALIBRATE
-from rangecam.cw.calibrated import PLANES, calibrated, made_for
+from rangecam.cw.calibrated import PLANES, calibrated, interval_m, made_for
 from rangecam.cw.camera import simulate
 from rangecam.cw.corrected import corrected
 from rangecam.cw.fixed_point import cw_emulation
@@ -13,4 +13,4 @@ _METHODS = {**{name: corrected(method) for name, method in ranging.RANGING.items
 RANGING = {name: calibrated(method) for name, method in _METHODS.items()}
 """Ranging methods of continuous-wave cameras by name; they apply `corrected` and the calibration of the frame."""
 
-__all__ = ["CALIBRATE", "PLANES", "RANGING", "CwCamera", "made_for", "shared_noise_pixels", "simulate"]
+__all__ = ["CALIBRATE", "PLANES", "RANGING", "CwCamera", "interval_m", "made_for", "shared_noise_pixels", "simulate"]

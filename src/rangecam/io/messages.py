@@ -51,7 +51,9 @@ def _schema(**properties: Any) -> dict[str, Any]:
 
 SCHEMAS = {
     "rangecam.Frame": _schema(frame_id=_INTEGER, time_s=_NUMBER, topics=_TEXTS),
-    "rangecam.Ego": _schema(time_s=_NUMBER, speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, forward=_BOOLEAN),
+    "rangecam.Ego": _schema(
+        time_s=_NUMBER, speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, forward=_BOOLEAN, braking=_BOOLEAN
+    ),
     "rangecam.Truth": _schema(names=_TEXTS, positions_m=_ROWS, velocities_mps=_ROWS),
     "rangecam.Tracks": _schema(
         time_s=_NUMBER,
@@ -87,7 +89,16 @@ SCHEMAS = {
         ttc_s=_NUMBER,
         ttc_sigma_s=_NUMBER,
         p_collision=_NUMBER,
-        collisions=_schema(ttc_s=_NUMBERS, ttc_sigma_s=_NUMBERS, lateral_m=_NUMBERS, p_collision=_NUMBERS),
+        collisions=_schema(
+            ttc_s=_NUMBERS,
+            ttc_sigma_s=_NUMBERS,
+            lateral_m=_NUMBERS,
+            p_collision=_NUMBERS,
+            ttc_quantiles_s=_ROWS,
+            side=_NUMBERS,
+            closest_m=_NUMBERS,
+            closest_s=_NUMBERS,
+        ),
     ),
 }
 """JSON schemas of the messages that are JSON."""
@@ -170,7 +181,12 @@ def capture_messages(capture: Capture) -> Iterator[Topic]:
     raw, ego, truth = capture.raw, capture.ego, capture.truth
     for name, plane in raw.planes.items():
         yield RAW + name, image_message(plane, raw.time_s)
-    values = {"time_s": ego.time_s, "yaw_rate_radps": ego.yaw_rate_radps, "forward": ego.forward}
+    values = {
+        "time_s": ego.time_s,
+        "yaw_rate_radps": ego.yaw_rate_radps,
+        "forward": ego.forward,
+        "braking": ego.braking,
+    }
     if ego.speed_mps is not None:
         values["speed_mps"] = ego.speed_mps
     yield "/ego", Json("rangecam.Ego", values)
@@ -216,7 +232,9 @@ def read_capture(messages: Mapping[str, bytes]) -> Capture:
         topic = "/ego"
         ego = json.loads(messages[topic])
         speed = float(ego["speed_mps"]) if "speed_mps" in ego else None
-        state = Ego(float(ego["time_s"]), speed, float(ego["yaw_rate_radps"]), bool(ego["forward"]))
+        state = Ego(
+            float(ego["time_s"]), speed, float(ego["yaw_rate_radps"]), bool(ego["forward"]), bool(ego.get("braking"))
+        )
         topic = "/truth"
         truth = _read_truth(messages) if topic in messages else None
     except DataError as error:

@@ -23,7 +23,7 @@ def measure_segments(
     covariance holds the noise of the mean range, a part that no number of pixels makes smaller, and the uncertainty of
     the image position (König 2008, 6.4.3.3, E-K-22). Sizes come from the spread of the points: n pixels in a row have a
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
-    Of a segment that is `cut` short they are those of the part that is seen.
+    Of a segment that is `cut` short they are those of the part that is seen, and an edge of the image is a sure end.
     """
     labels, why = np.ascontiguousarray(labels), np.ascontiguousarray(image.why)
     count, shape = _number(labels), image.shape
@@ -66,6 +66,7 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
             lens.projection == "perspective",
             settings.near_fraction,
             *(settings.occluder_step_m, settings.occluder_sigmas, settings.occluder_fraction),
+            settings.edge_step,
         ],
         float,
     )
@@ -124,7 +125,7 @@ def _measure(
             return False
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
-    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels)
+    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut)
     return True
 
 
@@ -221,9 +222,11 @@ def _evaluate(
     sigmas: Any,
     means: Any,
     n_pixels: Any,
+    cut: Any,
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
+    step = known[23]
     for k in range(len(sums)):
         number, variance = sums[k, 0], sums[k, 8] / sums[k, 0]
         n_pixels[k], means[0, k], means[1, k] = number, sums[k, 7] / number, sums[k, 9] / number
@@ -244,7 +247,10 @@ def _evaluate(
             spread = max(sums[k, 4 + axis] / number - position_m[k, axis] ** 2 - noise2, 0.0)
             whole = bounds[k, 3 + axis] - bounds[k, axis] + math.sqrt(footprint2)
             size_m[k, axis] = min(math.sqrt(12 * spread + footprint2), whole)
-        # an outline jitters at each of its pixels: two sides of so many rows, two of so many columns
-        sigmas[k, 0] = math.sqrt(pixel**2 + jitter**2 / (2 * (box[k, 2] - box[k, 0])))
-        sigmas[k, 1] = math.sqrt(pixel**2 + jitter**2 / (2 * (box[k, 3] - box[k, 1])))
+        # an outline jitters at each of its pixels, and a straight edge steps as a whole; an edge of the image does not
+        rows, columns = box[k, 2] - box[k, 0], box[k, 3] - box[k, 1]
+        beside = 2 - (cut[k] & 1) - (cut[k] >> 1 & 1)  # left and right
+        above = 2 - (cut[k] >> 2 & 1) - (cut[k] >> 3 & 1)  # top and bottom
+        sigmas[k, 0] = math.sqrt(pixel**2 + beside * (step**2 + jitter**2 / rows) / 4)
+        sigmas[k, 1] = math.sqrt(pixel**2 + above * (step**2 + jitter**2 / columns) / 4)
         sigmas[k, 2] = math.sqrt(variance * min(shared / number, 1.0) + systematic**2)

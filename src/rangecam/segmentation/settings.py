@@ -56,6 +56,9 @@ class SegmentSettings:
     """Standard deviation of a centroid's image position that no number of pixels makes smaller, pixels."""
     edge_jitter: NonNegative = 0.3
     """Standard deviation of the position of a segment's outline at each of its border pixels, pixels."""
+    edge_step: NonNegative = 0.29
+    """The same of a whole side of the outline: a straight edge between two columns or rows belongs to one or the other
+    with all of its pixels, so that it is off by up to half a pixel, evenly."""
     sigma_systematic_m: NonNegative = 0.005
     """Standard deviation of a segment's range that no number of pixels makes smaller."""
     shared_noise_pixels: Annotated[float, Interval(ge=1)] = 6.6

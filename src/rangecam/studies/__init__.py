@@ -11,6 +11,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - pulsed_ambient, pulsed_rain, pulsed_gating, pulsed_saturation: the environment of the pulsed camera
 - virtual: how the whole camera measures in them
 - tracking_models, tracking_tuning: the motion models side by side; process and pixel noise of the thesis' filter
+- honesty: whether what is stated of collisions holds, over simulated drives
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - cw_scattering, cw_motion, cw_flying, cw_hdr, cw_multipath: and what its correction leaves; plates: scenes
 - cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
@@ -38,6 +39,7 @@ from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
 from rangecam.studies.filters import filters
+from rangecam.studies.honesty import honesty
 from rangecam.studies.literature import ranging_principles
 from rangecam.studies.noise_fit import noise_fit
 from rangecam.studies.pulsed_ambient import pulsed_ambient
@@ -79,6 +81,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "applications": applications,
     "tracking-models": tracking_models,
     "tracking-tuning": tracking_tuning,
+    "honesty": honesty,
     "cw-imperfections": cw_imperfections,
     "cw-calibration": cw_calibration,
     "cw-scattering": cw_scattering,
