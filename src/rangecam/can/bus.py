@@ -57,7 +57,20 @@ def _udp_multicast(channel: str) -> Any:
         if hasattr(socket, "SO_BINDTODEVICE"):  # Linux: packets that others send to the port do not arrive either
             same.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
             same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)  # nor what others here send to other groups
+    _emptied(bus)
     return bus
+
+
+def _emptied(bus: Any) -> None:
+    """Throw away what came in before the options were set: it may be of other groups, or from elsewhere."""
+    import can
+
+    for _ in range(10_000):
+        try:
+            if bus.recv(0.0) is None:
+                return
+        except can.CanError:
+            continue
 
 
 def _socketcan(channel: str) -> Any:
@@ -111,7 +124,7 @@ class Bus:
         try:
             frame = self._bus.recv(timeout_s)
         except (can.CanError, ValueError) as error:
-            if isinstance(error.__cause__, OSError):
+            if error.__cause__ is None or isinstance(error.__cause__, OSError):
                 raise DataError(f"{self.name}: cannot receive: {error}") from error
             self.refused[Reason.UNREADABLE] += 1
             return None
