@@ -66,7 +66,7 @@ INPUTS = [
 
 @dataclass(frozen=True)
 class World:
-    """The truth: how fast the car is, and was when it was last heard; ages of the last good image and car state, to OLD."""
+    """The truth: speed of the car, now and when last heard; ages of the last good image and car state, to OLD."""
 
     speed: int = 0
     image_age: int = OLD
