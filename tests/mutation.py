@@ -1,8 +1,8 @@
 """Mutation test of the safety core: `python tests/mutation.py [MODULE ...]`, for the night (minutes on two cores).
 
 Every comparison, constant, operator, negation and branch of a module is changed, one at a time, in memory; the module's
-tests must then fail. What survives is printed, and is an error unless it stands in `tests/mutants_accepted.txt` (equivalent
-mutants, each with its reason). Each mutant runs in a forked process, so that libraries are imported once.
+tests must then fail. What survives is printed, and is an error unless it stands in `tests/mutants_accepted.txt`
+(equivalent mutants, each with its reason). Each mutant runs in a forked process, so that libraries are imported once.
 """
 
 import ast

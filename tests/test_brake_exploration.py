@@ -1,8 +1,8 @@
 """Machine and gate, explored exhaustively: every reachable state with every class of input keeps the invariants.
 
 Beside the pair runs a model of the world that knows the truth: how fast the car really is, when the last good image and
-car state came, and whether the last good image demanded braking. The invariants speak of that truth alone. Times are whole
-ticks and are stored as ages, so that the states are finitely many; the search ends when there is no new one.
+car state came, and whether the last good image demanded braking. The invariants speak of that truth alone. Times are
+whole ticks and are stored as ages, so that the states are finitely many; the search ends when there is no new one.
 """
 
 import itertools
