@@ -150,6 +150,10 @@ def main(names: list[str]) -> int:
         path = SOURCE / (target.replace(".", "/") + ".py")
         made = survived = known = 0
         start_s = time.monotonic()
+        untouched = ast.parse(path.read_text(encoding="utf-8"))
+        if not survives(f"rangecam.{target}", untouched, path, TARGETS[target]):
+            print(f"{target}: its tests fail without any mutant", flush=True)
+            return 1
         for name, tree in mutants(ast.parse(path.read_text(encoding="utf-8"))):
             made += 1
             if survives(f"rangecam.{target}", tree, path, TARGETS[target]):
