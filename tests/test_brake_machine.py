@@ -357,7 +357,9 @@ def test_in_a_stop_wheels_may_lock_but_not_race() -> None:
     ("speed", "scene", "contradicted"),
     [(0.0, 1.01, True), (0.0625, 1.01, True), (0.063, 1.01, False), (0.0, 1.0, False), (0.0, None, False)],
 )
-def test_a_scene_that_comes_closer_contradicts_standstill(speed: float, scene: float | None, contradicted: bool) -> None:
+def test_a_scene_that_comes_closer_contradicts_standstill(
+    speed: float, scene: float | None, contradicted: bool
+) -> None:
     drive = Drive(speed_mps=speed)
     modes = drive.steps(5, scene_speed_mps=scene)
     assert modes[-1] is (Mode.FAULT if contradicted else Mode.USER_CONTROL)

@@ -153,7 +153,8 @@ class BrakeState:
     cause: of the braking, or of the last one. number: calls so far.
     perception, car: the last good ones (in a fault the last ones, so that a restarted camera is taken up again).
     image_s, car_s: arrival of the last good one. image_fault, car_fault: what was wrong with the last bad one since.
-    good_images: in a row without a fault, up to as many as are needed. speed_mps: of the car, which may exceed that of its wheels.
+    good_images: in a row without a fault, up to as many as are needed.
+    speed_mps: of the car, which may exceed that of its wheels.
     standing_s: arrival of the first good car state in a row that says standstill, inf where it does not.
     released_s: when control was given back last.
     """

@@ -3,6 +3,7 @@
 Whatever comes in and is no message of the car is refused and counted by its reason, never raised.
 """
 
+import ipaddress
 import os
 import socket
 from collections import Counter
@@ -17,6 +18,7 @@ from rangecam.errors import DataError, UsageError
 GROUP, PORT = "239.74.163.2", 43113
 """Multicast group and port of python-can for UDP over IPv4."""
 LOOPBACK = "127.0.0.1"
+_IP_MULTICAST_ALL = 49  # of Linux; Python has no name for it
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,12 @@ def _udp_multicast(channel: str) -> Any:
     """Open a multicast socket that hears and reaches this machine only; python-can's own would be on the network."""
     import can
 
-    if not channel.startswith("239."):
-        raise UsageError(f"channel '{channel}': expected an IPv4 multicast group of this site, such as {GROUP}")
+    try:
+        usable = ipaddress.IPv4Address(channel).is_multicast
+    except ValueError:
+        usable = False
+    if not usable:
+        raise UsageError(f"channel '{channel}': expected an IPv4 multicast group, such as {GROUP}")
     bus = can.Bus(interface="udp_multicast", channel=channel, port=PORT, hop_limit=0, fd=False)
     group, loopback = socket.inet_aton(channel), socket.inet_aton(LOOPBACK)
     with socket.socket(fileno=os.dup(bus.fileno())) as same:  # options belong to the socket, whoever holds it
@@ -50,7 +56,21 @@ def _udp_multicast(channel: str) -> Any:
         same.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
         if hasattr(socket, "SO_BINDTODEVICE"):  # Linux: packets that others send to the port do not arrive either
             same.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
+            same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)  # nor what others here send to other groups
+    _emptied(bus)
     return bus
+
+
+def _emptied(bus: Any) -> None:
+    """Throw away what came in before the options were set: it may be of other groups, or from elsewhere."""
+    import can
+
+    for _ in range(10_000):
+        try:
+            if bus.recv(0.0) is None:
+                return
+        except can.CanError:
+            continue
 
 
 def _socketcan(channel: str) -> Any:
@@ -104,7 +124,7 @@ class Bus:
         try:
             frame = self._bus.recv(timeout_s)
         except (can.CanError, ValueError) as error:
-            if isinstance(error.__cause__, OSError):
+            if error.__cause__ is None or isinstance(error.__cause__, OSError):
                 raise DataError(f"{self.name}: cannot receive: {error}") from error
             self.refused[Reason.UNREADABLE] += 1
             return None

@@ -139,6 +139,8 @@ def _message(name: str, assignments: tuple[str, ...]) -> "Message":
     from rangecam.can.codec import FIELDS, DriveMode, GiveBack, SteeringMode
 
     if name == "GiveBack":
+        if assignments:
+            raise UsageError(f"{assignments[0]}: expected no fields: GiveBack has none")
         return GiveBack()
     if name not in FIELDS:
         known = [*FIELDS, "GiveBack"]
