@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rangecam.classify import ClassificationSettings, classify
-from rangecam.types import CLASSES, Track, Tracks, TrackStatus
+from rangecam.types import CLASSES, Ego, Segments, Track, Tracks, TrackStatus
 
 AT_ONCE = ClassificationSettings(memory=0.0)
 
@@ -40,8 +40,31 @@ def track(
     )
 
 
-def first(tracks: Tracks, settings: ClassificationSettings = AT_ONCE) -> Track:
-    return classify(tracks, settings)[0]
+def nothing() -> Segments:
+    return segments_of(0)
+
+
+def segments_of(count: int = 1, **fields: object) -> Segments:
+    """Segments of a person 8 m ahead."""
+    whole = {
+        "label": np.arange(1, count + 1),
+        "position_m": np.tile([8.0, 0.0, 0.9], (count, 1)),
+        "covariance_m2": np.tile(1e-4 * np.eye(3), (count, 1, 1)),
+        "size_m": np.tile([0.3, 0.5, 1.7], (count, 1)),
+        "near_m": np.full(count, 7.85),
+        "n_pixels": np.full(count, 120),
+        "box": np.tile([40, 70, 65, 78], (count, 1)),
+        "range_m": np.full(count, 8.0),
+        "sigma_range_m": np.full(count, 0.01),
+        "amplitude": np.full(count, 50.0),
+        "cut": np.zeros(count, np.uint8),
+        "nearest_m": np.tile([7.85, 0.0, 0.9], (count, 1)),
+    }
+    return Segments(**{**whole, **fields})  # type: ignore[arg-type]
+
+
+def first(tracks: Tracks, settings: ClassificationSettings = AT_ONCE, ego: Ego = Ego()) -> Track:
+    return classify(tracks, ego, settings, nothing())[0]
 
 
 def p(name: str, tracks: Tracks, settings: ClassificationSettings = AT_ONCE) -> float:
@@ -82,7 +105,7 @@ def test_a_class_is_believed_after_some_frames_not_after_one() -> None:
     tracks, settings = track(width=1.8, height=1.5), ClassificationSettings(memory=0.8)
     vehicle = []
     for _ in range(20):
-        tracks = classify(tracks, settings)
+        tracks = classify(tracks, Ego(), settings, nothing())
         vehicle.append(tracks.class_probability[0, CLASSES.index("vehicle")])
     assert vehicle == sorted(vehicle)
     assert vehicle[0] == pytest.approx(0.2 * p("vehicle", track(width=1.8, height=1.5)))
@@ -117,6 +140,6 @@ def test_each_setting_has_its_effect(change: dict[str, object], of: str, row: di
 
 def test_inputs_are_not_modified_and_nothing_is_a_class_too() -> None:
     tracks = track(lateral_mps=1.4)
-    classify(tracks, AT_ONCE)
+    classify(tracks, Ego(), AT_ONCE, nothing())
     np.testing.assert_array_equal(tracks.class_probability, [[1, 0, 0, 0]])
-    assert len(classify(Tracks.empty(), AT_ONCE)) == 0
+    assert len(classify(Tracks.empty(), Ego(), AT_ONCE, nothing())) == 0
