@@ -61,7 +61,7 @@ def _hidden(
     for _ in range(far):
         other += outward
         reason = why[other]
-        if reason == _FLOOR or reason == _BORDER:
+        if reason in (_FLOOR, _BORDER):
             return False
         if reason == 0 or reason == _OUTSIDE:
             difference = range_m[pixel] - range_m[other] - limits[1]
