@@ -61,8 +61,6 @@ def _gather(distance: Floats, why: Ints, values: Floats, places: Ints) -> tuple[
         for column in range(width):
             if why[row, column] == 0:
                 value = float(distance[row, column])
-                if not math.isfinite(value):
-                    continue
                 low, high = (value if value < low else low), (value if value > high else high)
                 values[number], places[number] = value, row * width + column
                 number += 1

@@ -1,6 +1,5 @@
 """Where each segment is, how large, and how surely that is known."""
 
-import dataclasses
 import math
 from functools import lru_cache
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from rangecam.geometry import Lens, Mounting, is_plain, pixel_pitch, pixel_steps, point_covariance, position, rotation
+from rangecam.geometry import Lens, Mounting, pixel_pitch, point_covariance, position, rotation
 from rangecam.segmentation.outline import cut_short
 from rangecam.segmentation.settings import SegmentSettings
 from rangecam.types import Floats, Ints, RangeImage, Segments
@@ -32,10 +31,8 @@ def measure_segments(
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
-    known, angles = _known(lens, mounting, shape, settings), _angles(lens, shape)
-    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut
-    if not _measure(labels, np.ascontiguousarray(points), *planes, why, known, angles, *filled):
-        return _without_holes(labels, points, image, lens, mounting, settings)
+    known = _known(lens, mounting, shape, settings)
+    _measure(labels, np.ascontiguousarray(points), *planes, why, known, position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
@@ -71,23 +68,6 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
     )
 
 
-def _without_holes(
-    labels: Ints, points: Floats, image: RangeImage, lens: Lens, mounting: Mounting, settings: SegmentSettings
-) -> Segments:
-    """Measure what has a finite point, range and sigma; a segment without any is left out."""
-    seen = np.isfinite(points).all(axis=-1) & np.isfinite(image.range_m) & np.isfinite(image.sigma_m)
-    kept = np.unique(labels[seen & (labels > 0)])
-    renumbered = np.where(seen & (labels > 0), np.searchsorted(kept, labels) + 1, 0).astype(np.int32)
-    segments = measure_segments(renumbered, points, image, lens, mounting, settings)
-    return dataclasses.replace(segments, label=kept.astype(np.int64))
-
-
-@lru_cache(maxsize=16)
-def _angles(lens: Lens, shape: tuple[int, int]) -> Floats:
-    """Return the size of each pixel across and up (H, W, 2), rad, if the lens is bent, else nothing (0, 0, 2)."""
-    return np.zeros((0, 0, 2)) if is_plain(lens) else np.linalg.norm(pixel_steps(lens, shape), axis=-1)
-
-
 @njit(cache=True, nogil=True)
 def _number(labels: Ints) -> int:
     most = np.int32(0)
@@ -106,7 +86,6 @@ def _measure(
     amplitude: Any,
     why: Any,
     known: Any,
-    angles: Any,
     position_m: Any,
     size_m: Any,
     sigmas: Any,
@@ -116,16 +95,12 @@ def _measure(
     nearest_m: Any,
     cut: Any,
 ) -> Any:
-    """Fill the eight last arrays, means: range and amplitude; return False if a point is not finite or missing."""
+    """Fill the eight last arrays; means: range and amplitude."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
-    for k in range(len(sums)):
-        if not math.isfinite(sums[k].sum() - sums[k, 9]):  # an amplitude may be missing
-            return False
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
-    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels)
-    return True
+    _evaluate(sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels)
 
 
 @njit(cache=True, nogil=True)
@@ -211,16 +186,7 @@ _NEAR_BINS = 32
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _evaluate(
-    sums: Any,
-    bounds: Any,
-    box: Any,
-    known: Any,
-    angles: Any,
-    position_m: Any,
-    size_m: Any,
-    sigmas: Any,
-    means: Any,
-    n_pixels: Any,
+    sums: Any, bounds: Any, box: Any, known: Any, position_m: Any, size_m: Any, sigmas: Any, means: Any, n_pixels: Any
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
@@ -233,12 +199,9 @@ def _evaluate(
             away = position_m[k, axis] - centre[axis]
             radius2 += away * away
             depth += away * turn[axis, 0]
-        pixel_distance, pitch_h, pitch_v = depth if perspective != 0 else math.sqrt(radius2), pitch[0], pitch[1]
-        if len(angles) > 0:
-            middle = angles[(box[k, 0] + box[k, 2] - 1) // 2, (box[k, 1] + box[k, 3] - 1) // 2]
-            pixel_distance, pitch_h, pitch_v = math.sqrt(radius2), middle[0], middle[1]
+        pixel_distance = depth if perspective != 0 else math.sqrt(radius2)
         for axis in range(3):
-            across, up = turn[axis, 1] * pitch_h * pixel_distance, turn[axis, 2] * pitch_v * pixel_distance
+            across, up = turn[axis, 1] * pitch[0] * pixel_distance, turn[axis, 2] * pitch[1] * pixel_distance
             footprint2 = across * across + up * up
             noise2 = variance * (position_m[k, axis] - centre[axis]) ** 2 / radius2
             spread = max(sums[k, 4 + axis] / number - position_m[k, axis] ** 2 - noise2, 0.0)

@@ -7,7 +7,6 @@ from numba import njit
 
 from rangecam.types import Cut, Why
 
-
 @njit(cache=True, nogil=True)
 def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limits: Any, cut: Any) -> None:
     """Write the bits of `Cut` of each segment: (N,) uint8; a kernel.
@@ -61,7 +60,7 @@ def _hidden(
     for _ in range(far):
         other += outward
         reason = why[other]
-        if reason in (_FLOOR, _BORDER):
+        if reason == _FLOOR or reason == _BORDER:
             return False
         if reason == 0 or reason == _OUTSIDE:
             difference = range_m[pixel] - range_m[other] - limits[1]

@@ -23,24 +23,9 @@ class SegmentSettings:
     Keeps long inclined objects whole, at the risk of joining what touches.
     """
     connectivity: Literal[4, 8] = 8
-    """Region growing and slices: how many neighbours a pixel has."""
-    surface_incidence_deg: Annotated[float, Interval(ge=0, lt=90)] = 80.0
-    """Region growing in 3D: neighbours join if a surface that is seen under at most this angle of incidence could hold
-    both, ..."""
-    surface_sigmas: NonNegative = 3.0
-    """... give or take so many standard deviations of the difference of their ranges."""
-    amplitude_difference: NonNegative = 0.0
-    """Region growing in 3D: amplitudes of neighbours may differ by this fraction of their mean; 0: they do not count."""
-    seed_reach_m: Positive = 0.3
-    """Seeded region growing: how far from the predicted position of a track its first pixel may lie."""
-    slice_m: Positive = 0.5
-    """Slices: width of a slice of distance."""
-    bandwidth_m: Positive = 0.5
-    """Mean shift: radius within which points attract each other."""
-    cluster_radius_m: Positive = 1.5
-    """k-means: farther from the middle of an object no point belongs to it."""
+    """Region growing: how many neighbours a pixel has."""
     histogram_of: Literal["depth", "range"] = "depth"
-    """Histogram and slices: count the distance along the vehicle's x axis (a plane ahead is one peak), or the radial range."""
+    """Histogram: count the distance along the vehicle's x axis (a plane ahead is one peak), or the radial range."""
     bin_width_m: Positive = 0.05
     smoothing_bins: PositiveInt = 3
     """Histogram: number of bins averaged into each before looking for minima; even numbers act like the next odd."""
