@@ -11,6 +11,7 @@ from rangecam.classify import ClassificationSettings, classify
 from rangecam.types import CLASSES, Ego, Segments, Track, Tracks, TrackStatus
 
 AT_ONCE = ClassificationSettings(memory=0.0)
+UNMEASURED = Ego()
 
 
 def track(
@@ -63,7 +64,7 @@ def segments_of(count: int = 1, **fields: object) -> Segments:
     return Segments(**{**whole, **fields})  # type: ignore[arg-type]
 
 
-def first(tracks: Tracks, settings: ClassificationSettings = AT_ONCE, ego: Ego = Ego()) -> Track:
+def first(tracks: Tracks, settings: ClassificationSettings = AT_ONCE, ego: Ego = UNMEASURED) -> Track:
     return classify(tracks, ego, settings, nothing())[0]
 
 

@@ -19,9 +19,9 @@ SEEN = (
     *("cut_beside", "cut_above", "cut_below", "occluded"),
     *("log_speed", "log_speed_across", "log_speed_along", "log_speed_sigma"),
 )
-"""What is seen of an object in one frame: its extent across the line of sight, upwards and along it (m), the share of its
-box in the image that it fills, where it begins and ends above the ground, pixels across and down, range, what cuts it
-short (0 or 1), and its speed over ground: whole, across the line of sight, along it, its standard deviation (m/s)."""
+"""What is seen of an object in one frame: its extent across the line of sight, upwards and along it (m), the share of
+its box in the image that it fills, where it begins and ends above the ground, pixels across and down, range, what cuts
+it short (0 or 1), and its speed over ground, m/s: whole, across the line of sight, along it, its standard deviation."""
 _SPREADS, _SEEN, _MEANS = 4, len(SEEN), 4
 FEATURES = (
     *SEEN,

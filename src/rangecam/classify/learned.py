@@ -1,4 +1,4 @@
-"""What a track is by trees that were trained on simulated drives; they are evaluated without the library that grew them.
+"""What a track is by trees that were trained on simulated drives, evaluated without the library that grew them.
 
 A model is a sum of trees for each class (gradient boosting: Friedman 2001), divided by a temperature that makes the
 probabilities as large as they come true (Guo et al. 2017). `training` makes one.
@@ -45,20 +45,22 @@ class Model:
 def learned(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments: Segments) -> Tracks:
     """Return the tracks with new class probabilities, by a trained model, and the memory that it needs.
 
-    The probabilities of the three classes are the model's, less a part for `unknown` that is as large as the greatest of
-    them where that is `unknown_below`, and vanishes where it is certain; beside each other they keep their proportions.
+    The probabilities of the three classes are the model's, less a part for `unknown` that is as large as the greatest
+    of them where that is `unknown_below`, and vanishes where it is certain; their proportions stay.
     """
     memory, features = observe(tracks, ego, segments)
     probability = np.empty((tracks.status.size, len(CLASSES)))
     model = load_model(settings.model)
-    _classify(tracks.status, tracks.class_probability, features, *_arrays(model), settings.unknown_below, probability)
+    given = tracks.status, tracks.class_probability, features, *_arrays(model), settings.unknown_below
+    _classify(*given, probability)
     return replace(tracks, class_probability=probability, class_memory=memory)
 
 
 def probabilities(features: Floats, model: Model) -> Floats:
     """Return what the model says of features (N, F): the probability of each class but unknown, (N, 3)."""
     told = np.empty((len(features), _TOLD))
-    _probabilities(np.ascontiguousarray(features, float), *_arrays(model), told)
+    given = np.ascontiguousarray(features, float), *_arrays(model)
+    _probabilities(*given, told)
     return told
 
 
@@ -67,7 +69,7 @@ def save_model(model: Model, path: Path) -> None:
     small = {"feature": np.int8, "left": np.int16, "right": np.int16, "roots": np.int16}
     arrays = {key: np.asarray(value).astype(small.get(key, np.float32)) for key, value in vars(model).items()}
     with path.open("wb") as file:
-        np.savez_compressed(file, names=np.array(FEATURES), **arrays)
+        np.savez_compressed(file, names=np.array(FEATURES), **arrays)  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=4)
@@ -98,10 +100,8 @@ def _checked(values: dict[str, Any], path: str) -> Model:
     count, inner = feature.size, feature >= 0
     sizes = {values[key].size for key in ("feature", "threshold", "left", "right", "value")}
     node = np.arange(count)[inner]
-    downwards = (
-        all(bool(np.all((side[inner] > node) & (side[inner] < count))) for side in (left, right))
-        if len(sizes) == 1
-        else False
+    downwards = len(sizes) == 1 and all(
+        bool(np.all((side[inner] > node) & (side[inner] < count))) for side in (left, right)
     )
     inside = bool(np.all((feature < len(FEATURES)) & (feature >= -1))) and bool(np.all((roots >= 0) & (roots < count)))
     if not (downwards and inside and roots.size % _TOLD == 0 and values["base"].size == _TOLD):

@@ -35,5 +35,5 @@ class ClassificationSettings:
     """Rules: share of the earlier class probabilities in the new ones."""
     model: str = ""
     """Learned: file of a model (`rangecam train`); empty: the one that ships."""
-    unknown_below: Annotated[float, Interval(ge=0, lt=1)] = 0.6
+    unknown_below: Annotated[float, Interval(ge=0, lt=1)] = 0.85
     """Learned: a track is `unknown` if no class is more probable than this."""

@@ -22,11 +22,11 @@ VRU, VEHICLE, OBSTACLE = (CLASSES.index(name) for name in ("vru", "vehicle", "ob
 class DriveSettings:
     """What is drawn for a drive."""
 
-    duration_s: Positive = 2.0
+    duration_s: Positive = 1.2
     """How long it lasts."""
-    frame_rate_hz: Positive = 15.0
+    frame_rate_hz: Positive = 10.0
     """Images a second."""
-    things: PositiveInt = 5
+    things: PositiveInt = 6
     """How many things there are; a buggy and who pushes it are one."""
     nearest_m: Positive = 2.0
     """The nearest place of a thing."""

@@ -13,7 +13,7 @@ from rangecam.pipeline import process_frame
 from rangecam.training.drives import Drive, DriveSettings, random_drive
 from rangecam.types import Capture, Floats, Frame, Ints, Tracks, TrackStatus
 
-_EVERY = 4  # frames from one example of a track to the next
+_EVERY = 3  # frames from one example of a track to the next
 _OWN_SHARE = 0.7  # of the pixels of a segment that must show things of one class
 
 
@@ -38,7 +38,7 @@ class Examples:
 
 
 class Lot(NamedTuple):
-    """Drives to simulate: their sensor, what is drawn, the seed and number of each, settings over those of the preset."""
+    """Drives to simulate: their sensor, what is drawn, seed and number of each, settings over the preset."""
 
     preset: str
     given: DriveSettings
@@ -50,7 +50,7 @@ class Lot(NamedTuple):
 def simulated(lot: Lot) -> Examples:
     """Return what is seen of each drive of a lot.
 
-    Each fourth frame of a confirmed track is an example, if its segment shows things of one class.
+    Each third frame of a confirmed track is an example, if its segment shows things of one class.
     """
     config = load_config(lot.preset, lot.settings)
     rows: list[tuple[Floats, int, Floats, float, str, int]] = []

@@ -38,7 +38,8 @@ def _weights(examples: Examples) -> Floats:
     weights = 1 / np.sqrt(counts[which])
     for k in np.unique(examples.classes):
         weights[examples.classes == k] /= weights[examples.classes == k].sum()
-    return weights / weights.mean()
+    balanced: Floats = weights / weights.mean()
+    return balanced
 
 
 def _grow(features: Floats, classes: Ints, weights: Floats, seed: int) -> Any:

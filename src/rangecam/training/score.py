@@ -9,15 +9,15 @@ from rangecam.types import CLASSES, Floats, Ints
 
 
 class Reliability(NamedTuple):
-    """For each group of decisions of like probability: their mean probability, the share that is right, their number."""
+    """For each group of decisions of like probability: their mean, the share that is right, their number."""
 
     told: Floats
     right: Floats
-    count: Ints
+    number: Ints
 
 
 def confusion(classes: Ints, probability: Floats) -> Ints:
-    """Return how many examples of each class (3 rows: all but unknown) were taken for each (4 columns, over CLASSES)."""
+    """Return how many examples of each class (3 rows: all but unknown) were taken for each (4 columns)."""
     table = np.zeros((3, 4), int)
     np.add.at(table, (classes - 1, np.argmax(probability, axis=1)), 1)
     return table
@@ -46,7 +46,7 @@ def reliability(classes: Ints, probability: Floats, groups: int = 8) -> Reliabil
 
 def calibration_error(curve: Reliability) -> float:
     """Return by how much the probabilities are off, in the mean over all decisions."""
-    return float((curve.count * np.abs(curve.told - curve.right)).sum() / curve.count.sum())
+    return float((curve.number * np.abs(curve.told - curve.right)).sum() / curve.number.sum())
 
 
 def score(examples: Examples, probability: Floats) -> dict[str, Any]:
