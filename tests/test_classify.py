@@ -9,8 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rangecam.classify import ClassificationSettings, classify
-from rangecam.types import CLASSES, Ego, Segments, Track, Tracks, TrackStatus
+from rangecam.classify import CLASSIFICATION, ClassificationSettings, classify
+from rangecam.classify.features import FEATURES, MEMORY, observe
+from rangecam.classify.learned import Model, load_model, probabilities, save_model
+from rangecam.errors import DataError
+from rangecam.types import ACTIONS, CLASSES, Ego, Segments, Track, Tracks, TrackStatus
 
 AT_ONCE = ClassificationSettings(memory=0.0)
 UNMEASURED = Ego()
