@@ -13,7 +13,9 @@ from cyclopts import CycloptsError
 from rangecam.cli.app import app
 from rangecam.errors import RangecamError
 
-COMMANDS = ("demo", "run", "simulate", "calibrate", "design", "study", "tune", "bench", "repair", "can")
+COMMANDS = (
+    "demo", "run", "simulate", "drive", "calibrate", "design", "study", "tune", "train", "bench", "can", "embedded", "repair",
+)
 """Modules of this package, one a command; importing one registers it."""
 
 for _name in COMMANDS:
