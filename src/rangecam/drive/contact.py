@@ -24,9 +24,17 @@ class Nearest(NamedTuple):
 _ORIGIN = np.zeros(3)
 
 
-def nearest(scenario: Scenario, time_s: float, pose: Pose, vehicle: Vehicle) -> Nearest:
-    """Return what is nearest to the vehicle, of all that is neither below its clearance nor above its height."""
+def nearest(
+    scenario: Scenario, time_s: float, pose: Pose, vehicle: Vehicle, harmless: tuple[str, ...] = ()
+) -> Nearest:
+    """Return what is nearest to the vehicle, of all that is neither below its clearance nor above its height.
+
+    harmless: things whose names begin so do not count.
+    """
     shapes, _ = placed(scenario.objects, time_s, pose, _ORIGIN, None)
+    if harmless:
+        counts = [not thing.name.startswith(harmless) for thing in scenario.objects]
+        shapes = shapes[np.array(counts, bool)[shapes[:, 10].astype(int) - 1]]
     if not len(shapes):
         return Nearest(math.inf, 0)
     rear_m = vehicle.front_m - vehicle.length_m

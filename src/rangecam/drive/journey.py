@@ -7,8 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from rangecam.scene.paths import EgoMotion, Pose, ego_pose
+from rangecam.scene.scenario import Scenario
 from rangecam.types import Floats
-from rangecam.vehicle.dynamics import DIRECTION, YAW_RATE, VehicleState
+from rangecam.vehicle.dynamics import DIRECTION, WAY, YAW_RATE, VehicleState
 from rangecam.vehicle.remote import Hand
 from rangecam.vehicle.settings import Vehicle
 
@@ -52,30 +53,31 @@ def _course(ego: EgoMotion, duration_s: float) -> tuple[Floats, Floats, Floats, 
     return times, speeds, ways, np.divide(yaw, speeds, out=np.zeros_like(yaw), where=np.abs(speeds) > 1e-6)
 
 
-def hand_of(
-    ego: EgoMotion, duration_s: float, time_s: float, state: VehicleState, way_m: float, vehicle: Vehicle, lets_go: bool
-) -> Hand:
-    """Return where the driver holds the remote control: the speed of the scenario, and its bends where they are.
+def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Vehicle, lets_go: bool) -> Hand:
+    """Return where the driver holds the remote control: for the speed of the scenario, and its bends where they are.
 
     lets_go: the driver leaves throttle and brake alone, and steers.
     """
-    times, speeds, ways, curvatures = _course(ego, duration_s)
-    curvature = float(np.interp(way_m, ways, curvatures))
+    times, speeds, ways, curvatures = _course(scenario.ego, scenario.duration_s)
+    curvature = float(np.interp(state.motion[WAY], ways, curvatures)) if curvatures.any() else 0.0
     steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
-    wanted = float(np.interp(time_s, times, speeds))
     if lets_go:
         return Hand(0.0, steer, True)
-    return Hand(held(wanted, float(np.interp(time_s + 0.05, times, speeds)) - wanted, state, vehicle), steer, True)
+    wanted = float(np.interp(time_s, times, speeds))
+    soon = float(np.interp(time_s + _AHEAD_S, times, speeds)) - wanted
+    return Hand(_throttle(wanted, soon / _AHEAD_S, state.speed_mps, vehicle), steer, True)
 
 
-def held(wanted_mps: float, soon_mps: float, state: VehicleState, vehicle: Vehicle) -> float:
+_AHEAD_S = 0.05
+_GAIN_HZ = 5.0
+
+
+def _throttle(wanted_mps: float, wanted_mps2: float, speed: float, vehicle: Vehicle) -> float:
     """Return throttle (positive) or brake (negative) that keeps a speed against rolling and air."""
-    speed = state.speed_mps
-    error = wanted_mps - speed
-    needs = vehicle.rolling_mps2 + vehicle.drag_per_m * speed**2 + soon_mps / 0.05 + 5.0 * error
     if wanted_mps <= 0 and speed < 0.05:
         return -1.0
-    if needs >= 0:
-        gives = vehicle.drive_mps2 * max(1 - speed / vehicle.max_speed_mps, 1e-3)
-        return min(needs / gives, 1.0)
-    return max(needs / vehicle.brake_mps2, -1.0)
+    needs = vehicle.rolling_mps2 + vehicle.drag_per_m * speed**2 + wanted_mps2 + _GAIN_HZ * (wanted_mps - speed)
+    if needs < 0:
+        return max(needs / vehicle.brake_mps2, -1.0)
+    gives = vehicle.drive_mps2 * max(1 - speed / vehicle.max_speed_mps, 1e-3)
+    return min(needs / gives, 1.0)

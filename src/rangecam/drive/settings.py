@@ -2,6 +2,8 @@
 
 from typing import Literal
 
+from rangecam.brake.gate import GateSettings
+from rangecam.brake.machine import MachineSettings
 from rangecam.settings import NonNegative, Positive, settings
 from rangecam.vehicle.settings import Vehicle
 
@@ -57,6 +59,12 @@ class DriveSettings:
     """Before time 0 everything runs for so long at the scenario's first speed, so that camera and bus have begun."""
     stop_after_s: NonNegative = 0.3
     """The drive ends so long after it has come to a stop; not before `duration_s` of the scenario without one."""
+    machine: MachineSettings = MachineSettings()
+    """The state machine of the brake; its timeout of images and the greatest speed follow from camera and vehicle."""
+    gate: GateSettings = GateSettings()
+    """The gate; the age of a cause follows likewise."""
+    missed_frames: NonNegative = 3.0
+    """So many frame periods after an image should have come, the system does not work."""
     harmless: tuple[str, ...] = ()
     """Things whose names begin so are no collision: what is driven through."""
     faults: tuple[Fault, ...] = ()
