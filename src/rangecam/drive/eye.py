@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rangecam import cw, pulsed
+
 from rangecam.cameras.simulated import SIMULATE, frame, look
 from rangecam.config import Camera, Config
+from rangecam.cw.sequence import fastest_frame_rate_hz
 from rangecam.drive.faults import arrivals, kept
 from rangecam.drive.settings import DriveSettings
+from rangecam.pulsed.feasible import max_frame_rate_hz
 from rangecam.scene.paths import OwnMotion
 from rangecam.scene.render import ray_bundle
 from rangecam.scene.scenario import Scenario
@@ -21,8 +23,8 @@ from rangecam.types import Capture
 def sequence_s(camera: Camera) -> float:
     """Return how long a frame takes from the start of its first exposure to the end of its last read-out."""
     if camera.kind == "cw":
-        return 1 / cw.fastest_frame_rate_hz(camera)
-    return 1 / pulsed.max_frame_rate_hz(camera) if camera.kind == "pulsed" else 0.0
+        return 1 / fastest_frame_rate_hz(camera)
+    return 1 / max_frame_rate_hz(camera) if camera.kind == "pulsed" else 0.0
 
 
 class Eye:

@@ -155,7 +155,7 @@ class _Log:
                 gap_m,
                 decision.distance_m if decision is not None else math.nan,
                 float(decision is not None and decision.brake),
-                float(mind.state.mode),
+                float(mind.unit.state.mode),
                 float(unit.control),
                 float(car.motion[BRAKE]),
                 float(self._take_overs),
@@ -164,8 +164,8 @@ class _Log:
 
     def _first_take_over(self, time_s: float, mind: Mind) -> None:
         self.braked_s = time_s
-        self.by_fault = mind.state.mode is Mode.FAULT
-        self.reason = mind.state.cause.reason
+        self.by_fault = mind.unit.state.mode is Mode.FAULT
+        self.reason = mind.unit.state.cause.reason
         if not self.by_fault and mind.frame is not None:
             self._exposed_s = mind.frame.raw.time_s
 
@@ -216,7 +216,7 @@ class _Log:
             "stood_s": self.stood_s,
             "frames": mind.frames,
             "duration_s": float(columns["time_s"][-1]),
-            "refused": {str(why): count for why, count in mind.gate.refused.items()},
+            "refused": {str(why): count for why, count in mind.unit.gate.refused.items()},
             "frames_on_bus": dict(self._bus),
         }
         return Drive(self._name, columns, latency, **more)

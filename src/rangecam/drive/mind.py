@@ -5,16 +5,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from rangecam.brake.gate import CanFrame, Gate, GateSettings, arm, let_pass
-from rangecam.brake.machine import (
-    BrakeState,
-    CarState,
-    Inputs,
-    MachineSettings,
-    Mode,
-    Perception,
-    advance,
-)
+from rangecam.brake.gate import CanFrame, Gate, arm
+from rangecam.brake.health import Health, judge, perceived
+from rangecam.brake.machine import BrakeState, CarState, Inputs, Mode, Perception
+from rangecam.brake.rule import full_deceleration
+from rangecam.brake.unit import BrakeSettings, Unit, step
 from rangecam.can.codec import CarStatus1, CodecError, RemoteValues, decode
 from rangecam.config import Config
 from rangecam.drive.eye import sequence_s
@@ -23,17 +18,32 @@ from rangecam.pipeline import Sink, process_frame
 from rangecam.types import Capture, Ego, Frame, RangeImage, Tracks
 
 
-def machine_settings(config: Config, settings: DriveSettings) -> tuple[MachineSettings, GateSettings]:
-    """Return state machine and gate for the latency of this drive: images are missed after `missed_frames` more."""
-    period_s = 1 / config.camera.frame_rate_hz
-    timeout_s = latency_s(config, settings) + settings.missed_frames * period_s
-    machine = replace(settings.machine, image_timeout_s=timeout_s, max_speed_mps=1.1 * settings.vehicle.max_speed_mps)
-    return machine, replace(settings.gate, cause_age_s=timeout_s + settings.step_s)
+def brake_settings(config: Config, settings: DriveSettings) -> BrakeSettings:
+    """Return the brake's settings for this camera and vehicle.
+
+    An image is missed `missed_frames` periods after it should have been processed; a cause may be as old. No speed is
+    possible that the vehicle cannot reach. A vehicle whose wheels have locked slides on: it is believed to slow down no
+    faster than on the road that the decision reckons with, else control is given back before it stands.
+    """
+    timeout_s = latency_s(config, settings) + settings.missed_frames / config.camera.frame_rate_hz
+    brake = settings.brake
+    machine = replace(
+        brake.machine,
+        image_timeout_s=timeout_s,
+        max_speed_mps=1.1 * settings.vehicle.max_speed_mps,
+        max_deceleration_mps2=min(brake.machine.max_deceleration_mps2, full_deceleration(config.decision)),
+    )
+    return replace(brake, machine=machine, gate=replace(brake.gate, cause_age_s=timeout_s + settings.step_s))
 
 
 def latency_s(config: Config, settings: DriveSettings) -> float:
     """Return the time from the end of the read-out of a frame to what was decided of it."""
     return max(settings.result_after_frames / config.camera.frame_rate_hz - sequence_s(config.camera), 0.0)
+
+
+def at_work(start_s: float) -> Unit:
+    """Return the decision unit as it is after a start at standstill: armed, and nothing is wrong up to `start_s`."""
+    return Unit(BrakeState(mode=Mode.USER_CONTROL, image_s=start_s, car_s=start_s), arm(Gate()))
 
 
 class Mind:
@@ -44,17 +54,16 @@ class Mind:
 
     def __init__(self, config: Config, settings: DriveSettings, start_s: float, sinks: Sequence[Sink]) -> None:
         self._config, self._settings, self._sinks = config, settings, sinks
-        self._machine, self._gate_settings = machine_settings(config, settings)
+        self._brake = brake_settings(config, settings)
         self._latency_s = latency_s(config, settings)
-        self._tracks, self._image = Tracks.empty(), _no_image()
+        self._tracks = Tracks.empty()
+        self._image: RangeImage | None = None
+        self._health: Health | None = None
         self._waiting: list[tuple[float, int, Perception, Frame]] = []
-        self._results = 0
-        self._steer, self._forward = 0.0, True
-        self._ego: Ego = Ego()
+        self._steer, self._forward, self._ego = 0.0, True, Ego()
         self._inputs = Inputs(start_s)
+        self.unit, self.frames = at_work(start_s), 0
         self.frame: Frame | None = None
-        self.state = at_work(start_s, self._machine)
-        self.gate: Gate = arm(Gate())
 
     def see(self, capture: Capture, received_s: float) -> None:
         """Process a frame that has arrived; its result is there after the latency of the processors."""
@@ -63,9 +72,10 @@ class Mind:
         self._tracks, self._image = frame.tracks, frame.image
         for sink in self._sinks:
             sink.write(capture, frame)
-        found = perceived(capture, frame, received_s)
-        heapq.heappush(self._waiting, (received_s + self._latency_s, self._results, found, frame))
-        self._results += 1
+        self._health = judge(frame, received_s, self._health, self._brake.health)
+        found = perceived(frame, self._health)
+        heapq.heappush(self._waiting, (received_s + self._latency_s, self.frames, found, frame))
+        self.frames += 1
 
     def hear(self, frame: CanFrame, time_s: float) -> None:
         """Take in a frame of the bus."""
@@ -76,20 +86,16 @@ class Mind:
         if isinstance(message, RemoteValues):
             self._steer, self._forward = message.steering, message.direction >= 0
         elif isinstance(message, CarStatus1):
-            car = CarState(message.speed_mps, time_s, self._forward)
-            self._inputs = replace(self._inputs, car=car)
+            self._inputs = replace(self._inputs, car=CarState(message.speed_mps, time_s, self._forward))
 
     def think(self, time_s: float) -> list[CanFrame]:
         """Return what is to be sent now."""
-        request = None
+        self._inputs = replace(self._inputs, time_s=time_s)
         while self._waiting and self._waiting[0][0] <= time_s:
             _, _, found, self.frame = heapq.heappop(self._waiting)
-            self._inputs = replace(self._inputs, time_s=time_s, perception=found)
-            self.state, request = advance(self.state, self._inputs, self._machine)
-        self._inputs = replace(self._inputs, time_s=time_s)
-        self.state, request = advance(self.state, self._inputs, self._machine)
+            self._inputs = replace(self._inputs, perception=found)
+        self.unit, _, frame = step(self.unit, self._inputs, self._brake)
         self._ego = self._measured(time_s)
-        self.gate, frame = let_pass(self.gate, request, time_s, self._gate_settings)
         return [] if frame is None else [frame]
 
     def _measured(self, time_s: float) -> Ego:
@@ -97,6 +103,6 @@ class Mind:
         car, vehicle = self._inputs.car, self._settings.vehicle
         if car is None:
             return Ego(time_s)
-        speed = self.state.speed_mps
+        speed = self.unit.state.speed_mps
         steer = math.radians(vehicle.max_steer_deg) * self._steer
         return Ego(time_s, speed, speed * math.tan(steer) / vehicle.wheelbase_m, car.forward)

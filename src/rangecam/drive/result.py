@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,8 @@ class Drive:
     stood_s: float = math.inf
     frames: int = 0
     duration_s: float = 0.0
-    refused: Mapping[str, int] = {}
-    frames_on_bus: Mapping[int, int] = {}
+    refused: Mapping[str, int] = field(default_factory=dict)
+    frames_on_bus: Mapping[int, int] = field(default_factory=dict)
 
 
 def as_json(drive: Drive) -> dict[str, Any]:

@@ -2,8 +2,7 @@
 
 from typing import Literal
 
-from rangecam.brake.gate import GateSettings
-from rangecam.brake.machine import MachineSettings
+from rangecam.brake.unit import BrakeSettings
 from rangecam.settings import NonNegative, Positive, settings
 from rangecam.vehicle.settings import Vehicle
 
@@ -59,10 +58,8 @@ class DriveSettings:
     """Before time 0 everything runs for so long at the scenario's first speed, so that camera and bus have begun."""
     stop_after_s: NonNegative = 0.3
     """The drive ends so long after it has come to a stop; not before `duration_s` of the scenario without one."""
-    machine: MachineSettings = MachineSettings()
-    """The state machine of the brake; its timeout of images and the greatest speed follow from camera and vehicle."""
-    gate: GateSettings = GateSettings()
-    """The gate; the age of a cause follows likewise."""
+    brake: BrakeSettings = BrakeSettings()
+    """Health, state machine, gate; its timeout of images and the greatest speed follow from camera and vehicle."""
     missed_frames: NonNegative = 3.0
     """So many frame periods after an image should have come, the system does not work."""
     harmless: tuple[str, ...] = ()

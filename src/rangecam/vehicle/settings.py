@@ -42,7 +42,7 @@ class Battery:
 class Unit:
     """The vehicle's own microcontroller on the bus (Steinbäck 2016, 4.3.1)."""
 
-    status_period_s: Positive = 0.01
+    status_period_s: Positive = 0.02
     """Time between two status messages; *open* (S-CAN-07)."""
     remote_period_s: Positive = 0.02
     """Time between two values of the remote control: a radio sends a pulse each 20 ms."""
