@@ -1,7 +1,7 @@
 """The closed loop in simulated time: scene, camera, perception, brake, bus, vehicle, and the scene again.
 
 Read `drive` and you have read it. Every step of `step_s`: what the camera has read out by now is perceived; what was
-put on the bus a step before arrives; the state machine thinks; the control unit reports and obeys; the vehicle moves on.
+put on the bus a step before arrives; the state machine thinks; the control unit reports and obeys; the vehicle moves.
 The same arguments give the same drive, bit for bit: nothing asks for the time of day, and noise comes from `seed`.
 """
 

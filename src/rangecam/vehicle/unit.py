@@ -59,7 +59,8 @@ def advance_unit(
 ) -> tuple[UnitState, Command, list[CanFrame]]:
     """Return the state after `frames` that came since the last call, what the actuators are told, and what is sent.
 
-    Both status messages are sent each `status_period_s`, the remote values when new ones come from the radio. The same arguments give the same answer; nothing is raised.
+    Both status messages are sent each `status_period_s`, the remote values when new ones come from the radio. The same
+    arguments give the same answer; nothing is raised.
     """
     for frame in frames:
         state = _heard(state, time_s, frame)
