@@ -149,7 +149,7 @@ def _integrate(m: Any, start_s: float, dt_s: float, told: Any, facts: Any, grip:
         yaw = max(min(yaw, grip / v), -grip / v) if v > 0 else 0.0
         left = math.sqrt(max(grip * grip - (v * yaw) ** 2, 0.0))
         motor = drive * full_drive * max(1 - w / top_speed, 0.0)
-        holds = full_brake * (b0 + b) / 2
+        holds = full_brake * ((b0 + b) / 2 if math.isfinite(rise) else b)
         force, w = _tyre(motor, holds, v, w, left, driven, inertia, antilock, h)
         v1 = _slower(v, force, rolling, drag, h)
         used = h
