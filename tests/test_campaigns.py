@@ -161,7 +161,8 @@ def test_what_failed_is_a_collision_that_could_have_been_avoided_or_a_false_brak
     lucky = row(number=5, threat=True, avoidable=False, avoided=True, impact_mps=0.0, bound_mps=3.0)
     rows = [late, beyond, false, good, lucky]
     assert [failed(each) for each in rows] == [True, False, True, False, False]
-    assert badness(late) == 4.0 and badness(good) == 0.0
+    assert badness(late) == 4.0
+    assert badness(good) == 0.0
     assert [each["number"] for each in statistics.worst(rows)] == [3, 1]
     found = statistics.summary(rows)
     assert {key: found[key] for key in ("runs", "avoidable", "avoided", "collisions", "false_brakes", "hours")} == {
@@ -190,7 +191,8 @@ def test_the_page_holds_curves_rates_budget_and_failures(campaign: str) -> None:
 
 def test_a_page_of_quiet_drives_has_neither_curves_nor_a_budget() -> None:
     text = page.html("false-positives", [row(exposed_s=math.nan)], []).decode()
-    assert "Speed of impact" not in text and "From light to brake" not in text
+    assert "Speed of impact" not in text
+    assert "From light to brake" not in text
     assert "none" in text
     assert "? to ?" in page.describe("false-positives", [row(driven_s=0.0)])
 
@@ -208,7 +210,8 @@ def test_a_campaign_on_the_command_line_leaves_table_report_and_recordings(
     assert found["runs"] == 2
     assert main([*call, *SET]) == 0
     assert "report.html" in capsys.readouterr().out
-    assert (tmp_path / "report.html").exists() and (tmp_path / "drives.parquet").exists()
+    assert (tmp_path / "report.html").exists()
+    assert (tmp_path / "drives.parquet").exists()
 
 
 def test_one_drive_on_the_command_line_leaves_recording_and_report(

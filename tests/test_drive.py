@@ -75,7 +75,8 @@ def test_a_box_in_the_way_is_stopped_for() -> None:
     assert found.timeline["speed_mps"][-1] == 0
     assert not found.by_fault
     assert "stopping needs" in found.reason
-    assert found.frames_on_bus[0x50] > 10 and found.frames_on_bus[0xA0] == found.frames_on_bus[0xA1]
+    assert found.frames_on_bus[0x50] > 10
+    assert found.frames_on_bus[0xA0] == found.frames_on_bus[0xA1]
 
 
 def test_the_same_drive_is_the_same_bit_for_bit_and_another_seed_another() -> None:
@@ -272,12 +273,14 @@ def test_without_brakes_a_box_is_hit_when_the_way_to_it_is_over() -> None:
 
 def test_a_box_is_seen_before_it_is_reached_and_one_behind_a_wall_never() -> None:
     found = bound.bound_of(scene(box(), duration_s=3.0), coarse(), SETTINGS, 0)
-    assert found.threat and found.avoidable
+    assert found.threat
+    assert found.avoidable
     assert found.seen_s < 0.5
     assert found.braked_mps == 0
     dark = replace(box(), reflectivity_factor=1e-3)
     unseen = bound.bound_of(scene(dark, duration_s=3.0), coarse(), SETTINGS, 0)
-    assert unseen.threat and not unseen.avoidable
+    assert unseen.threat
+    assert not unseen.avoidable
     assert unseen.seen_s == math.inf
 
 

@@ -134,7 +134,8 @@ def test_the_same_way_comes_of_steps_of_any_length() -> None:
 
 def test_rolling_resistance_holds_against_a_small_force() -> None:
     state = move(standing(MODEL), Command(drive=0.05), 1.0, MODEL, Road(0.7))
-    assert state.speed_mps == 0 and state.motion[WAY] == 0
+    assert state.speed_mps == 0
+    assert state.motion[WAY] == 0
 
 
 def test_a_locked_wheel_stands_while_the_vehicle_slides() -> None:
@@ -312,7 +313,9 @@ def test_status_tells_speed_and_the_power_that_two_bytes_hold() -> None:
     driving = replace(standing(CAR, 0.0, 20.0), command=Command(drive=1.0))
     _, _, sent = advance_unit(UnitState(), 0.0, [], Hand(1.0, -0.3), driving, CAR)
     first, second, remote = (decode(frame.can_id, frame.data) for frame in sent)
-    assert isinstance(first, CarStatus1) and isinstance(second, CarStatus2) and isinstance(remote, RemoteValues)
+    assert isinstance(first, CarStatus1)
+    assert isinstance(second, CarStatus2)
+    assert isinstance(remote, RemoteValues)
     assert first.speed_mps == pytest.approx(20.0, abs=0.02)
     assert first.power_w == pytest.approx(65.535)
     assert remote.steering == pytest.approx(-0.3, abs=1e-3)
