@@ -17,8 +17,8 @@ COMPOSERS = {
     "io/sources.py": "opens simulated scenarios as a source",
     "bench/works.py": "measures the families' stages beside peers",
 }
-# Studies, designs and training simulate with the families themselves; nothing of the chain imports them.
-FORWARD = ("pulsed/", "cw/", "processed", "cameras/", "scene/", "studies/", "design/", "training/")
+# Studies, designs and training characterise the families, drives simulate the whole; nothing of the chain imports them.
+FORWARD = ("pulsed/", "cw/", "processed", "cameras/", "scene/", "studies/", "design/", "training/", "drive/")
 
 
 def imports(path: Path) -> set[str]:
