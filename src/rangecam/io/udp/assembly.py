@@ -98,6 +98,7 @@ class _Frame:
 
     @property
     def complete(self) -> bool:
+        """Whether every packet has come."""
         return not self._wanted
 
     def finish(self) -> Received:
