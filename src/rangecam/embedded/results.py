@@ -69,7 +69,7 @@ def _latencies_s(timeline: Timeline) -> tuple[float, ...]:
             ends[job.frame].append(job.ended_ns)
     return tuple(
         max(e for e in each if e is not None) / 1e9 - frame / schedule.frame_rate_hz
-        if len(each) == len(needed) and None not in each
+        if needed and len(each) == len(needed) and None not in each
         else math.nan
         for frame, each in ends.items()
     )
@@ -118,19 +118,20 @@ def highest_frame_rate_hz(schedule: Schedule, n_frames: int = 40, tolerance: flo
     """Return the highest frame rate at which no task that is not optional misses a deadline or finds no buffer.
 
     Each run takes as long as it may. Found by halving an interval between a rate that works and `frame_rate_bound_hz`,
-    down to the relative tolerance; 0 if not even one frame a minute works.
+    down to the relative tolerance; 0 if not even a 16th of the bound works.
     """
-    low, high = 1 / 60, frame_rate_bound_hz(schedule)
+    high = frame_rate_bound_hz(schedule)
+    low = high / 16
 
     def works(rate_hz: float) -> bool:
         return not analyse(run_schedule(replace(schedule, frame_rate_hz=rate_hz), n_frames)).faults
 
-    if high <= low or not works(low):
+    if high <= 0 or not works(low):
         return 0.0
     if works(high):
         return high
     while high - low > tolerance * high:
-        middle = math.sqrt(low * high) if high > 4 * low else (low + high) / 2
+        middle = (low + high) / 2
         low, high = (middle, high) if works(middle) else (low, middle)
     return low
 

@@ -117,7 +117,7 @@ def _pins(title: str, timeline: Timeline, n_frames: int) -> Panel:
     start = 10 / rate_hz
     window = (start, start + n_frames / rate_hz)
     series = []
-    for row, task in enumerate(reversed(timeline.schedule.tasks)):
+    for row, task in zip(reversed(range(len(timeline.schedule.tasks))), timeline.schedule.tasks, strict=True):
         x, y = [0.0], [float(row)]
         for span in timeline.spans:
             if span.job.task is task and span.end_ns / 1e9 > window[0] and span.start_ns / 1e9 < window[1]:
@@ -176,15 +176,7 @@ def embedded_memory(rng: np.random.Generator) -> Study:
             judged("N-S-033", f"local memory of CPU {n}", k, size / KBYTE, "KByte", size == k * KBYTE, tables)
             for n, (k, size) in enumerate(zip((120, 240, 240), local, strict=True))
         ),
-        judged(
-            "N-S-033",
-            "regions that overlap or begin at the wrong address",
-            0,
-            len(overlaps()) + len(misplaced()),
-            "",
-            not overlaps() and not misplaced(),
-            "addresses of listing A.2",
-        ),
+        judged("N-S-033", "regions that overlap or begin at a wrong address", 0, wrong, "", not wrong, "listing A.2"),
         judged("N-S-033", "data flash", 768, there / KBYTE, "KByte", there == here, two_pages),
     ]
     for rate, text in ((10, "12.29"), (20, "24.58"), (30, "36.86"), (40, "49.15")):
