@@ -8,10 +8,11 @@ import numpy as np
 from rangecam import cw, processed, pulsed
 from rangecam.config import Config
 from rangecam.processed import ProcessedCamera
-from rangecam.scene.render import RayBundle, ego_at, ray_bundle, render, truth
+from rangecam.scene.paths import OwnMotion
+from rangecam.scene.render import RayBundle, ego_of, own_pose, ray_bundle, render, truth
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.view import View
-from rangecam.scene.weather import in_weather, precipitation
+from rangecam.scene.weather import clouds, in_weather, joined, precipitation
 from rangecam.types import Capture, RawFrame
 
 
@@ -29,40 +30,53 @@ SIMULATE: dict[str, Callable[..., RawFrame]] = {
 """Forward models by the `kind` of camera settings: (view at a time, camera, time_s, rng) -> RawFrame."""
 
 
-def frames(scenario: Scenario, config: Config, seed: int = 0) -> Iterator[Capture]:
+def frames(scenario: Scenario, config: Config, seed: int = 0, own: OwnMotion | None = None) -> Iterator[Capture]:
     """Yield the captures of a camera that looks at `scenario`, with the truth at the middle of each exposure.
 
-    Frame k is centred on k / frame rate and the same for the same seed whatever came before it.
+    Frame k is centred on k / frame rate and the same for the same seed whatever came before it. `own` replaces the own
+    motion of the scenario; it is asked when a frame is.
     """
+    rate_hz = scenario.frame_rate_hz or config.camera.frame_rate_hz
+    for k in range(max(1, round(scenario.duration_s * rate_hz))):
+        yield frame(scenario, config, k, k / rate_hz, seed, own)
+
+
+def frame(
+    scenario: Scenario, config: Config, frame_id: int, time_s: float, seed: int, own: OwnMotion | None = None
+) -> Capture:
+    """Return the one capture centred on `time_s`; `seed` and `frame_id` make its noise."""
     camera, shape = config.camera, (config.camera.rows, config.camera.columns)
     bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-    rate_hz = scenario.frame_rate_hz or camera.frame_rate_hz
-    for k in range(max(1, round(scenario.duration_s * rate_hz))):
-        time_s = k / rate_hz
-        looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, k, 1]))
-        raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, k]))
-        yield Capture(
-            replace(raw, frame_id=k),
-            ego_at(scenario.ego, time_s),
-            truth(scenario, time_s, camera.lens, config.mounting, shape),
-        )
+    looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, frame_id, 1]), own)
+    raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, frame_id]))
+    return Capture(
+        replace(raw, frame_id=frame_id),
+        ego_of(own_pose(scenario, time_s, own), time_s),
+        truth(scenario, time_s, camera.lens, config.mounting, shape, own),
+    )
 
 
 def look(
-    scenario: Scenario, config: Config, bundle: RayBundle, time_s: float, rng: np.random.Generator
+    scenario: Scenario,
+    config: Config,
+    bundle: RayBundle,
+    time_s: float,
+    rng: np.random.Generator,
+    own: OwnMotion | None = None,
 ) -> Callable[[float], View]:
     """Return what the camera sees of the scenario through its weather, as a function of the time near `time_s`.
 
     The field of drops is drawn anew for `time_s`, and falls from there on.
     """
     weather = scenario.weather
-    if not (weather.rain_mm_per_h or weather.snow_mm_per_h or weather.drops):
-        return lambda at_s: render(scenario, at_s, bundle)
+    if not (weather.rain_mm_per_h or weather.snow_mm_per_h or weather.drops or weather.clouds):
+        return lambda at_s: render(scenario, at_s, bundle, own)
     camera, mounting = config.camera, config.mounting
-    speed_mps = ego_at(scenario.ego, time_s).speed_mps or 0.0
-    falling = precipitation(weather, camera.lens, mounting, (camera.rows, camera.columns), rng, speed_mps)
+    pose = own_pose(scenario, time_s, own)
+    falling = precipitation(weather, camera.lens, mounting, (camera.rows, camera.columns), rng, pose.speed_mps)
+    falling = joined(falling, clouds(weather, time_s, pose, rng))
 
     def seen(at_s: float) -> View:
-        return in_weather(render(scenario, at_s, bundle), falling, weather, camera.lens, mounting, at_s - time_s)
+        return in_weather(render(scenario, at_s, bundle, own), falling, weather, camera.lens, mounting, at_s - time_s)
 
     return seen

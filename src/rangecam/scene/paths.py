@@ -1,6 +1,10 @@
 """Where things are: position, velocity and acceleration as exact functions of time."""
 
+import cmath
+import math
+from collections.abc import Callable
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -107,36 +111,132 @@ def _knots(path: Path) -> tuple[Floats, Floats, Floats]:
     return times, positions, velocities
 
 
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_STANDS_MPS = 1e-6
+
+
+def travelled_m(path: Path, time_s: float) -> float:
+    """Return the length of the way along `path` from its first moment to `time_s`; negative before it.
+
+    The speed is integrated piece by piece with eight Gauss-Legendre nodes: exact while the direction stays.
+    """
+    times, ways = _ways(path)
+    k = max(int(np.searchsorted(times, time_s, side="right")) - 1, 0)
+    return float(ways[k] + _way_m(path, times[k], time_s))
+
+
+@lru_cache(maxsize=256)
+def _ways(path: Path) -> tuple[Floats, Floats]:
+    times = _knots(path)[0]
+    pieces = [_way_m(path, a, b) for a, b in pairwise(times)]
+    return times, np.cumsum([0.0, *pieces])
+
+
+def _way_m(path: Path, from_s: float, to_s: float) -> float:
+    half = (to_s - from_s) / 2
+    if half == 0 or len(_knots(path)[0]) == 1:
+        return 2 * half * math.hypot(*motion(path, to_s).velocity_mps)
+    speeds = [math.hypot(*motion(path, from_s + half * (1 + node)).velocity_mps) for node in _NODES]
+    return half * float(_WEIGHTS @ speeds)
+
+
+def direction_rad(path: Path, time_s: float) -> float:
+    """Return the heading of the motion at `time_s`, to the left of x; where it stands, that of the last motion before.
+
+    Before it first moves it is that of the first motion, and 0 if it never moves.
+    """
+    x, y, _ = motion(path, time_s).velocity_mps
+    if math.hypot(x, y) > _STANDS_MPS:
+        return math.atan2(y, x)
+    times, _, _ = _knots(path)
+    short = 1e-4 * np.diff(times)
+    before = [t for t in np.column_stack([times[:-1] + short, times[1:] - short]).ravel() if t <= time_s]
+    after = [t for t in np.column_stack([times[:-1] + short, times[1:] - short]).ravel() if t > time_s]
+    for moment in (*before[::-1], *after, times[-1] + 1):
+        x, y, _ = motion(path, float(moment)).velocity_mps
+        if math.hypot(x, y) > _STANDS_MPS:
+            return math.atan2(y, x)
+    return 0.0
+
+
 @settings
 class EgoPhase:
-    """A time of constant acceleration of the own vehicle."""
+    """A time of constant acceleration and yaw rate of the own vehicle."""
 
     duration_s: Positive
     """How long it lasts."""
     acceleration_mps2: float = 0.0
     """Forward; negative brakes, down to standstill and no further."""
+    yaw_rate_radps: float = 0.0
+    """How fast it turns, positive to the left; it turns no more once braking has brought it to standstill."""
 
 
 @settings
 class EgoMotion:
-    """How the own vehicle drives: straight along x, from x = 0 at time 0."""
+    """How the own vehicle drives: from the origin of the ground's axes at time 0, first along x."""
 
     speed_mps: NonNegative = 0.0
     """Speed at time 0."""
     phases: tuple[EgoPhase, ...] = ()
-    """Accelerations, one after the other; the speed stays as it is afterwards."""
+    """Accelerations and turns, one after the other; afterwards it goes straight on with the speed that it has."""
+
+
+class Pose(NamedTuple):
+    """Where the own vehicle is on the ground, and how it moves: its speed is along its heading, negative backwards."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    """To the left of the x axis of the ground."""
+    speed_mps: float
+    yaw_rate_radps: float
+
+
+OwnMotion = Callable[[float], Pose]
+"""An own motion that is decided while the simulation runs: the pose at a time. It is asked for all moments of an
+exposure, which lie before and after the time of its frame."""
+
+
+def ego_pose(ego: EgoMotion, time_s: float) -> Pose:
+    """Return where the own vehicle is at `time_s`, and how it moves, as the phases of a scenario say."""
+    legs = _legs(ego)
+    start_s, pose, acceleration = next(leg for leg in reversed(legs) if leg[0] <= time_s or leg is legs[0])
+    if time_s < start_s:  # before time 0 it comes straight
+        return _driven(pose._replace(yaw_rate_radps=0.0), 0.0, time_s - start_s)
+    return _driven(pose, acceleration, time_s - start_s)
 
 
 @lru_cache(maxsize=64)
-def ego_path(ego: EgoMotion) -> Path:
-    """Return the path of the own vehicle: as its phases say, but it stops when its speed reaches zero."""
-    speed, phases = ego.speed_mps, []
+def _legs(ego: EgoMotion) -> list[tuple[float, Pose, float]]:
+    """Return the start, the pose there and the acceleration of each time of constant acceleration and yaw rate."""
+    time_s, pose, legs = 0.0, Pose(0.0, 0.0, 0.0, ego.speed_mps, 0.0), []
     for phase in ego.phases:
-        a, duration = phase.acceleration_mps2, phase.duration_s
-        moving = min(duration, -speed / a) if a < 0 else duration
-        if moving > 0:
-            phases.append(Phase(duration_s=moving, acceleration_mps2=(a, 0.0, 0.0)))
-        if moving < duration:
-            phases.append(Phase(duration_s=duration - moving))
-        speed = max(speed + a * moving, 0.0) if moving == duration else 0.0
-    return Path(velocity_mps=(ego.speed_mps, 0.0, 0.0), phases=tuple(phases))
+        a, duration_s = phase.acceleration_mps2, phase.duration_s
+        moving_s = min(duration_s, -pose.speed_mps / a) if a < 0 else duration_s
+        pose = pose._replace(yaw_rate_radps=phase.yaw_rate_radps)
+        legs.append((time_s, pose, a))
+        pose, time_s = _driven(pose, a, moving_s), time_s + moving_s
+        if moving_s < duration_s:
+            pose = pose._replace(speed_mps=0.0, yaw_rate_radps=0.0)
+            legs.append((time_s, pose, 0.0))
+            time_s += duration_s - moving_s
+    return [*legs, (time_s, pose._replace(yaw_rate_radps=0.0), 0.0)]
+
+
+def _driven(pose: Pose, acceleration_mps2: float, seconds: float) -> Pose:
+    """Return the pose after driving on: x + iy grows by the integral of (v + a s) exp(i (heading + w s)) over s."""
+    v, a, t, turn = pose.speed_mps, acceleration_mps2, seconds, pose.yaw_rate_radps * seconds
+    mean, later = _turning(turn)
+    moved = cmath.exp(1j * pose.heading_rad) * (v * t * mean + a * t * t * later)
+    heading = pose.heading_rad + turn
+    return Pose(pose.x_m + moved.real, pose.y_m + moved.imag, heading, v + a * t, pose.yaw_rate_radps)
+
+
+def _turning(turn_rad: float) -> tuple[complex, complex]:
+    """Return the integrals of exp(i u s) and of s exp(i u s) over s from 0 to 1; by their series where u is small."""
+    u = 1j * turn_rad
+    if abs(turn_rad) < 0.1:
+        terms = [u**n / math.factorial(n) for n in range(9)]
+        return sum(t / (n + 1) for n, t in enumerate(terms)), sum(t / (n + 2) for n, t in enumerate(terms))
+    mean = (cmath.exp(u) - 1) / u
+    return mean, (cmath.exp(u) - mean) / u

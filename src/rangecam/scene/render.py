@@ -9,30 +9,30 @@ import numpy as np
 from numba import njit
 
 from rangecam.geometry import Lens, Mounting, position, rays, rotation
-from rangecam.scene.paths import EgoMotion, Motion, ego_path, motion
+from rangecam.scene.paths import EgoMotion, OwnMotion, Pose, ego_pose, motion
+from rangecam.scene.placed import CYLINDER, GROUND, PLANE, ROD, placed
 from rangecam.scene.scenario import AMBIENT_WPM2, Scenario
-from rangecam.scene.shapes import Box, Cylinder, SceneObject, shapes_of
 from rangecam.scene.view import View
 from rangecam.types import Ego, Floats, Ints, Truth
 
-GROUND = -1
-"""Object number of the ground; 0 is nothing, 1..N are the objects of the scenario."""
+__all__ = ["GROUND", "RayBundle", "ego_at", "ego_of", "own_pose", "ray_bundle", "render", "truth"]
 
 _RUN = 32
-_GROUND_HALF_M = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
 class RayBundle:
-    """Rays of a camera in vehicle axes.
+    """Rays of a camera in vehicle axes, those of neighbouring pixels together.
 
-    origin_m (3,): where they start. directions (3, K H W) float32: unit vectors, component by component.
-    cones (C, 5): axis and cosine and sine of the half angle of the cone around each run of 32 rays. shape: (K, H, W).
+    origin_m (3,): where they start. directions (3, R) float32: unit vectors, component by component.
+    cones (C, 5): axis and cosine and sine of the half angle of the cone around each run of 32 rays.
+    place (R,) int32: where the result of each ray belongs, in an image of shape (K, H, W).
     """
 
     origin_m: Floats
     directions: Floats
     cones: Floats
+    place: Ints
     shape: tuple[int, int, int]
 
 
@@ -42,7 +42,8 @@ def ray_bundle(lens: Lens, mounting: Mounting, shape: tuple[int, int], subpixels
     (height, width), n = shape, subpixels
     fine = rays(lens, (height * n, width * n)) @ rotation(mounting).T
     directions = fine.reshape(height, n, width, n, 3).transpose(4, 1, 3, 0, 2).reshape(3, -1)
-    directions /= np.linalg.norm(directions, axis=0)
+    place = _tile_by_tile(shape, n)
+    directions = directions[:, place] / np.linalg.norm(directions[:, place], axis=0)
     starts = np.arange(0, directions.shape[1], _RUN)
     axes = np.add.reduceat(directions, starts, axis=1)
     axes /= np.linalg.norm(axes, axis=0)
@@ -52,133 +53,153 @@ def ray_bundle(lens: Lens, mounting: Mounting, shape: tuple[int, int], subpixels
     cos_half = np.clip(cos_half - 1e-6, -1, 1)
     cones = np.concatenate([axes, cos_half[None], np.sqrt(1 - cos_half**2)[None]]).T
     return RayBundle(
-        position(mounting), np.ascontiguousarray(directions, np.float32), np.ascontiguousarray(cones), (n * n, *shape)
+        position(mounting),
+        np.ascontiguousarray(directions, np.float32),
+        np.ascontiguousarray(cones),
+        place.astype(np.int32),
+        (n * n, *shape),
     )
 
 
-def render(scenario: Scenario, time_s: float, bundle: RayBundle) -> View:
+def _tile_by_tile(shape: tuple[int, int], subpixels: int) -> Ints:
+    """Return the order of the rays (K, H, W) in which each 32 of them look in nearly the same direction."""
+    k, row, column = (index.ravel() for index in np.indices((subpixels**2, *shape)))
+    pixels = max(_RUN // subpixels**2, 1)
+    across = 2 ** math.ceil(math.log2(pixels) / 2)
+    down = max(pixels // across, 1)
+    order: Ints = np.lexsort((k, column, row, column // across, row // down))
+    return order
+
+
+def own_pose(scenario: Scenario, time_s: float, own: OwnMotion | None = None) -> Pose:
+    """Return where the own vehicle is: as `own` decides, or as the scenario says if that is none."""
+    return ego_pose(scenario.ego, time_s) if own is None else own(time_s)
+
+
+def render(scenario: Scenario, time_s: float, bundle: RayBundle, own: OwnMotion | None = None) -> View:
     """Return what the rays meet at `time_s`, in vehicle axes of the driving vehicle (arrays float32)."""
-    range_m, reflectivity, cos_incidence, _ = _cast_rays(scenario, time_s, bundle)
+    range_m, reflectivity, cos_incidence, _ = _cast_rays(scenario, time_s, bundle, own)
     ambient_wpm2 = scenario.ambient_wpm2 + AMBIENT_WPM2[scenario.ambient_light]
     return View(range_m, reflectivity, cos_incidence, ambient_wpm2)
 
 
-def truth(scenario: Scenario, time_s: float, lens: Lens, mounting: Mounting, shape: tuple[int, int]) -> Truth:
+def truth(
+    scenario: Scenario,
+    time_s: float,
+    lens: Lens,
+    mounting: Mounting,
+    shape: tuple[int, int],
+    own: OwnMotion | None = None,
+) -> Truth:
     """Return what the central ray of each pixel meets, and where the objects are and how they move, relative to us.
 
     object_id is i + 1 for names[i], 0 for nothing, `GROUND` for the ground.
+    Positions p are in axes of the vehicle at that time, velocities how these coordinates change: with the vehicle at P,
+    of heading h, speed v and yaw rate w, an object at G that moves with V over ground has p = R(-h) (G - P), so
+    dp/dt = R(-h) V - (v, 0, 0) - (0, 0, w) x p. Where we turn, also what stands still moves across.
     """
-    range_m, reflectivity, _, object_id = _cast_rays(scenario, time_s, ray_bundle(lens, mounting, shape))
-    own = motion(ego_path(scenario.ego), time_s)
+    range_m, reflectivity, _, object_id = _cast_rays(scenario, time_s, ray_bundle(lens, mounting, shape), own)
+    pose = own_pose(scenario, time_s, own)
     motions = [motion(thing.path, time_s) for thing in scenario.objects]
+    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    into = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # R(-h)
+    away = np.array([m.position_m for m in motions]).reshape(-1, 3) - (pose.x_m, pose.y_m, 0.0)
+    positions = away @ into.T
+    velocities = np.array([m.velocity_mps for m in motions]).reshape(-1, 3) @ into.T
+    turning = np.cross([0.0, 0.0, pose.yaw_rate_radps], positions)
     return Truth(
         range_m[0],
         reflectivity[0],
         object_id[0],
         tuple(thing.name for thing in scenario.objects),
-        np.array([m.position_m - own.position_m for m in motions]).reshape(-1, 3),
-        np.array([m.velocity_mps - own.velocity_mps for m in motions]).reshape(-1, 3),
+        positions,
+        velocities - (pose.speed_mps, 0.0, 0.0) - turning,
     )
 
 
 def ego_at(motion_of_ego: EgoMotion, time_s: float) -> Ego:
     """Return the state of the own vehicle at `time_s`."""
-    speed = float(motion(ego_path(motion_of_ego), time_s).velocity_mps[0])
-    return Ego(time_s=time_s, speed_mps=max(speed, 0.0))
+    return ego_of(ego_pose(motion_of_ego, time_s), time_s)
 
 
-def _cast_rays(scenario: Scenario, time_s: float, bundle: RayBundle) -> tuple[Floats, Floats, Floats, Ints]:
-    """Return range, reflectivity, cosine of incidence and object number of every ray, each (K, H, W)."""
-    shapes = _placed_shapes(scenario, time_s) - np.array([0.0, *bundle.origin_m, *[0.0] * 7])
-    count = bundle.directions.shape[1]
-    range_m, reflectivity, cos_incidence = (np.empty(count, np.float32) for _ in range(3))
-    object_id = np.empty(count, np.int32)
-    _cast(bundle.directions, bundle.cones, shapes, range_m, reflectivity, cos_incidence, object_id)
-    return (
-        range_m.reshape(bundle.shape),
-        reflectivity.reshape(bundle.shape),
-        cos_incidence.reshape(bundle.shape),
-        object_id.reshape(bundle.shape),
+def ego_of(pose: Pose, time_s: float) -> Ego:
+    """Return what the own vehicle measures of itself."""
+    return Ego(
+        time_s=time_s,
+        speed_mps=abs(pose.speed_mps),
+        yaw_rate_radps=pose.yaw_rate_radps,
+        forward=pose.speed_mps >= 0,
     )
 
 
-def _placed_shapes(scenario: Scenario, time_s: float) -> Floats:
-    """Return all shapes in vehicle axes, one a row.
-
-    Columns: round (1 for a cylinder), centre x, y, z, cosine and sine of the yaw, half sizes x, y, z (radius, radius,
-    half height), reflectivity, object number.
-    """
-    own = motion(ego_path(scenario.ego), time_s)
-    rows = []
-    if scenario.ground_reflectivity is not None:
-        half = _GROUND_HALF_M
-        rows.append([0.0, 0.0, 0.0, -0.5, 1.0, 0.0, half, half, 0.5, scenario.ground_reflectivity, GROUND])
-    for number, thing in enumerate(scenario.objects, start=1):
-        rows += _placed(thing, number, motion(thing.path, time_s), own)
-    return np.array(rows).reshape(-1, 11)
-
-
-def _placed(thing: SceneObject, number: int, its: Motion, own: Motion) -> list[list[float]]:
-    x, y, z = its.position_m - own.position_m
-    turn = math.radians(thing.heading_deg)
-    rows = []
-    boxes, cylinders = shapes_of(thing)
-    shapes: tuple[Box | Cylinder, ...] = (*boxes, *cylinders)
-    for shape in shapes:
-        yaw = turn
-        if isinstance(shape, Box):
-            yaw += math.radians(shape.yaw_deg)
-        (cx, cy, cz), half = _center_and_half_size(shape)
-        cx, cy = cx * math.cos(turn) - cy * math.sin(turn), cx * math.sin(turn) + cy * math.cos(turn)
-        reflectivity = shape.reflectivity * thing.reflectivity_factor
-        place = [x + cx, y + cy, z + cz, math.cos(yaw), math.sin(yaw)]
-        rows.append([float(isinstance(shape, Cylinder)), *place, *half, reflectivity, float(number)])
-    return rows
-
-
-def _center_and_half_size(shape: Box | Cylinder) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    if isinstance(shape, Box):
-        length, width, height = shape.size_m
-        return shape.center_m, (length / 2, width / 2, height / 2)
-    x, y, z = shape.base_m
-    return (x, y, z + shape.height_m / 2), (shape.radius_m, shape.radius_m, shape.height_m / 2)
+def _cast_rays(
+    scenario: Scenario, time_s: float, bundle: RayBundle, own: OwnMotion | None
+) -> tuple[Floats, Floats, Floats, Ints]:
+    """Return range, reflectivity, cosine of incidence and object number of every ray, each (K, H, W)."""
+    pose = own_pose(scenario, time_s, own)
+    shapes, balls = placed(scenario.objects, time_s, pose, bundle.origin_m, scenario.ground_reflectivity)
+    range_m, reflectivity, cos_incidence = (np.empty(bundle.shape, np.float32) for _ in range(3))
+    object_id = np.empty(bundle.shape, np.int32)
+    given = bundle.directions, bundle.cones, bundle.place, shapes, balls
+    _cast(*given, range_m.ravel(), reflectivity.ravel(), cos_incidence.ravel(), object_id.ravel())
+    return range_m, reflectivity, cos_incidence, object_id
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast(
-    directions: Any, cones: Any, shapes: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any
+    directions: Any,
+    cones: Any,
+    place: Any,
+    shapes: Any,
+    balls: Any,
+    range_m: Any,
+    reflectivity: Any,
+    cos_incidence: Any,
+    object_id: Any,
 ) -> Any:
-    """Keep the nearest hit of each ray; a run of rays skips shapes whose bounding sphere its cone does not touch."""
+    """Keep the nearest hit of each ray; a run of rays skips objects and shapes whose ball its cone does not touch."""
     x, y, z = directions[0], directions[1], directions[2]
-    range_m[:] = np.inf
-    reflectivity[:] = 0
-    cos_incidence[:] = 0
-    object_id[:] = 0
+    nearest, rho = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
+    cosine, number = np.empty(_RUN, np.float32), np.empty(_RUN, np.int32)
     for run in range(cones.shape[0]):
-        rays_of_run = slice(run * _RUN, (run + 1) * _RUN)
-        ray = (x[rays_of_run], y[rays_of_run], z[rays_of_run])
-        hit = (range_m[rays_of_run], reflectivity[rays_of_run], cos_incidence[rays_of_run], object_id[rays_of_run])
-        for shape in shapes:
-            if not _may_touch(cones[run], shape):
+        first, last = run * _RUN, min((run + 1) * _RUN, place.size)
+        ray = (x[first:last], y[first:last], z[first:last])
+        hit = (nearest[: last - first], rho[: last - first], cosine[: last - first], number[: last - first])
+        hit[0][:], hit[1][:], hit[2][:], hit[3][:] = np.inf, 0, 0, 0
+        for i in range(len(balls)):
+            if balls[i, 5] == balls[i, 4] or not _may_touch(cones[run], balls[i], balls[i, 3], 0):
                 continue
-            if shape[0] == 1:
-                _cast_cylinder(ray, shape, *hit)
-            else:
-                _cast_box(ray, shape, *hit)
+            for k in range(int(balls[i, 4]), int(balls[i, 5])):
+                if _may_touch(cones[run], shapes[k], shapes[k, 11], 1):
+                    _cast_shape(ray, shapes[k], hit)
+        for i in range(last - first):
+            to = place[first + i]
+            range_m[to], reflectivity[to], cos_incidence[to], object_id[to] = nearest[i], rho[i], cosine[i], number[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _may_touch(cone: Any, shape: Any) -> Any:
-    """Return whether the cone of rays from the origin can touch the bounding sphere of a shape."""
-    radius2 = shape[6] ** 2 + shape[7] ** 2 + shape[8] ** 2
-    distance2 = shape[1] ** 2 + shape[2] ** 2 + shape[3] ** 2
+def _may_touch(cone: Any, centre: Any, radius2: Any, at: Any) -> Any:
+    """Return whether the cone of rays from the origin can touch the ball around centre[at : at + 3]."""
+    x, y, z = centre[at], centre[at + 1], centre[at + 2]
+    distance2 = x * x + y * y + z * z
     if distance2 <= radius2 or cone[3] <= 0:
         return True
     sin2 = radius2 / distance2
     cos_seen, sin_seen = math.sqrt(1 - sin2), math.sqrt(sin2)
-    cos_limit = cos_seen * cone[3] - sin_seen * cone[4]  # cosine of half angle of the cone plus that of the sphere
-    along = cone[0] * shape[1] + cone[1] * shape[2] + cone[2] * shape[3]
-    return along >= cos_limit * math.sqrt(distance2)
+    cos_limit = cos_seen * cone[3] - sin_seen * cone[4]  # cosine of half angle of the cone plus that of the ball
+    return cone[0] * x + cone[1] * y + cone[2] * z >= cos_limit * math.sqrt(distance2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_shape(ray: Any, shape: Any, hit: Any) -> Any:
+    if shape[0] == ROD:
+        _cast_rod(ray, shape, hit[0], hit[1], hit[2], hit[3])
+    elif shape[0] == CYLINDER:
+        _cast_cylinder(ray, shape, hit[0], hit[1], hit[2], hit[3])
+    elif shape[0] == PLANE:
+        _cast_plane(ray, shape, hit[0], hit[1], hit[2], hit[3])
+    else:
+        _cast_box(ray, shape, hit[0], hit[1], hit[2], hit[3])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -237,6 +258,71 @@ def _cast_cylinder(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_in
         reflectivity[i] = rho if hit else known[1]
         cos_incidence[i] = cosine if hit else known[2]
         object_id[i] = number if hit else known[3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_plane(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
+    """Light from above reaches a level plane along every ray that goes down."""
+    height, farthest = np.float32(-shape[3]), np.float32(shape[6])
+    rho, number = np.float32(shape[9]), np.int32(shape[10])
+    for i in range(range_m.size):
+        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        down = _not_zero(-ray[2][i])
+        enter = height / down
+        hit = (enter > np.float32(0)) & (down > np.float32(0)) & (enter < farthest) & (enter < known[0])
+        range_m[i] = enter if hit else known[0]
+        reflectivity[i] = rho if hit else known[1]
+        cos_incidence[i] = down if hit else known[2]
+        object_id[i] = number if hit else known[3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_rod(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
+    """A rod is the union of a side without ends and a ball at each end; the nearest of the three is what a ray hits.
+
+    With m from its middle to the origin, u its direction and d that of the ray: the discriminant of the side is
+    (1 - (d u)^2) r^2 - (d (u x m))^2, that of a ball around q is r^2 - |q x d|^2. Both keep their digits far away.
+    """
+    mx, my, mz = np.float32(-shape[1]), np.float32(-shape[2]), np.float32(-shape[3])
+    ux, uy, uz = np.float32(shape[4]), np.float32(shape[5]), np.float32(shape[6])
+    half, radius = np.float32(shape[7]), np.float32(shape[8])
+    gx, gy, gz = uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx
+    along_m = ux * mx + uy * my + uz * mz
+    rho, number = np.float32(shape[9]), np.int32(shape[10])
+    zero, infinite, steep, inverse = np.float32(0), np.float32(np.inf), np.float32(1e-5), np.float32(1) / radius
+    for i in range(range_m.size):
+        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        dx, dy, dz = ray[0][i], ray[1][i], ray[2][i]
+        along_d = ux * dx + uy * dy + uz * dz
+        open_ = np.float32(1) - along_d * along_d
+        open_ = open_ if open_ > steep else steep  # along the rod only the balls count
+        across = gx * dx + gy * dy + gz * dz
+        square = open_ * radius * radius - across * across
+        root = np.sqrt(square if square > zero else zero)
+        side = (along_m * along_d - (mx * dx + my * dy + mz * dz) - root) / open_
+        beyond = abs(along_m + side * along_d)
+        side = side if (square > zero) & (beyond <= half) & (side > zero) else infinite
+        one, one_root = _ball(mx - half * ux, my - half * uy, mz - half * uz, dx, dy, dz, radius)
+        other, other_root = _ball(mx + half * ux, my + half * uy, mz + half * uz, dx, dy, dz, radius)
+        enter = one if one < other else other
+        cosine = one_root if one < other else other_root
+        cosine = root if side < enter else cosine
+        enter = side if side < enter else enter
+        hit = enter < known[0]
+        range_m[i] = enter if hit else known[0]
+        reflectivity[i] = rho if hit else known[1]
+        cos_incidence[i] = cosine * inverse if hit else known[2]
+        object_id[i] = number if hit else known[3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _ball(qx: Any, qy: Any, qz: Any, dx: Any, dy: Any, dz: Any, radius: Any) -> Any:
+    """Return where a ray enters a ball, and the root of its discriminant; q goes from its centre to the origin."""
+    cx, cy, cz = qy * dz - qz * dy, qz * dx - qx * dz, qx * dy - qy * dx
+    square = radius * radius - (cx * cx + cy * cy + cz * cz)
+    root = np.sqrt(square if square > np.float32(0) else np.float32(0))
+    enter = -(qx * dx + qy * dy + qz * dz) - root
+    return (enter if (square > np.float32(0)) & (enter > np.float32(0)) else np.float32(np.inf)), root
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -2,9 +2,9 @@
 
 import tomllib
 from importlib.resources import files
-from typing import Literal
+from typing import Any, Literal
 
-from rangecam.config import parse
+from rangecam.config import merge, parse
 from rangecam.errors import UsageError, did_you_mean
 from rangecam.scene.paths import EgoMotion, motion
 from rangecam.scene.shapes import SceneObject
@@ -56,22 +56,32 @@ def scenario_names() -> list[str]:
 
 def load_scenario(name: str) -> Scenario:
     """Return the scenario of that name; raises UsageError, with the names that exist, if there is none."""
+    return parse_scenario(name, _text(name))
+
+
+def _text(name: str) -> str:
     known = scenario_names()
     if name not in known:
         raise UsageError(f"unknown scenario '{name}'{did_you_mean(name, known)}; scenarios: {', '.join(known)}")
-    return parse_scenario(name, files("rangecam").joinpath("scene", "scenarios", f"{name}.toml").read_text("utf-8"))
+    return files("rangecam").joinpath("scene", "scenarios", f"{name}.toml").read_text("utf-8")
+
+
+def _tree(text: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"{where}: not a TOML file: {error}") from error
 
 
 def parse_scenario(name: str, text: str) -> Scenario:
-    """Return the scenario that a TOML text describes.
+    """Return the scenario that a TOML text describes; `like = "NAME"` in it starts from a scenario that ships.
 
     Raises UsageError that names the key and the value if something in it cannot be.
     """
     where = f"scenario '{name}'"
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{where}: not a TOML file: {error}") from error
+    values = _tree(text, where)
+    if "like" in values:
+        values = merge(_tree(_text(str(values.pop("like"))), where), values)
     scenario = parse(Scenario, {**values, "name": name}, where)
     for thing in scenario.objects:
         try:

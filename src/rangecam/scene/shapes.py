@@ -1,4 +1,4 @@
-"""What things are made of: oriented boxes and upright cylinders, alone or put together to bodies."""
+"""What things are made of: boxes, upright cylinders and rods that may swing; objects put them together."""
 
 from typing import Literal
 
@@ -35,50 +35,60 @@ class Cylinder:
 
 
 @settings
+class Swing:
+    """How the end of a rod goes with the phase p of a stride: along_m sin p forward, up_m sin(p + up_lead_deg) up."""
+
+    along_m: float = 0.0
+    """How far to and fro."""
+    up_m: float = 0.0
+    """How far up and down."""
+    phase_deg: float = 0.0
+    """Phase at the start of the way."""
+    up_lead_deg: float = 90.0
+    """How far up runs before along: 90 makes an ellipse that goes forward above and back below, 0 a slanted line."""
+
+
+@settings
+class Rod:
+    """A round rod with round ends, in any direction: a limb, a tube; without length a ball."""
+
+    start_m: Vector
+    """Middle of the one end, from the object's own position."""
+    end_m: Vector
+    """Middle of the other end."""
+    radius_m: Positive
+    """Of the rod and the balls at its ends, which stick out by it."""
+    reflectivity: NonNegative = 0.5
+    """Lambertian reflectivity in the camera's band."""
+    start_swing: Swing = Swing()
+    """How the one end moves with the way that the object has gone."""
+    end_swing: Swing = Swing()
+    """How the other end does."""
+
+
+@settings
 class SceneObject:
     """One thing, of any number of shapes that move together and share its name."""
 
     name: str
     """What the truth calls it."""
-    body: Literal["shapes", "person", "car"] = "shapes"
-    """A body from `BODIES` to which `boxes` and `cylinders` are added; shapes: those alone."""
+    body: Literal[
+        "shapes", "person", "bicycle", "buggy", "car", "truck", "pole", "tree", "wall", "guard_rail", "bridge", "box"
+    ] = "shapes"
+    """A body of `bodies.BODIES` to which the shapes below are added; shapes: those alone."""
     boxes: tuple[Box, ...] = ()
     """Its boxes."""
     cylinders: tuple[Cylinder, ...] = ()
     """Its cylinders."""
+    rods: tuple[Rod, ...] = ()
+    """Its rods."""
+    scale: Positive = 1.0
+    """Multiplies all its sizes: a child is a person of 0.6 to 0.8."""
     heading_deg: float = 0.0
     """Direction of its own x axis on the ground, to the left of forward; 180 faces us."""
+    follow_path: bool = False
+    """It turns with its path: `heading_deg` then counts from the direction in which it moves or last moved."""
     reflectivity_factor: Positive = 1.0
     """Multiplies the reflectivity of all its shapes."""
     path: Path = Path()
     """Where its own position is, over time."""
-
-
-PERSON: tuple[Cylinder, ...] = (
-    Cylinder(base_m=(0.0, 0.11, 0.0), radius_m=0.085, height_m=0.85, reflectivity=0.35),
-    Cylinder(base_m=(0.0, -0.11, 0.0), radius_m=0.085, height_m=0.85, reflectivity=0.35),
-    Cylinder(base_m=(0.0, 0.0, 0.85), radius_m=0.20, height_m=0.62, reflectivity=0.5),
-    Cylinder(base_m=(0.0, 0.0, 1.47), radius_m=0.10, height_m=0.28, reflectivity=0.5),
-)
-"""A standing adult of 1.75 m: legs, trunk with arms, head; clothes of ordinary reflectivity at 850-905 nm."""
-
-CAR: tuple[Box, ...] = (
-    Box(center_m=(0.0, 0.0, 0.55), size_m=(4.3, 1.76, 0.60), reflectivity=0.4),
-    Box(center_m=(-0.2, 0.0, 1.13), size_m=(2.3, 1.50, 0.56), reflectivity=0.15),
-    Box(center_m=(1.3, 0.0, 0.15), size_m=(0.62, 1.70, 0.30), reflectivity=0.08),
-    Box(center_m=(-1.3, 0.0, 0.15), size_m=(0.62, 1.70, 0.30), reflectivity=0.08),
-)
-"""A compact car around the middle of its wheelbase: body, cabin (mostly glass), axles with wheels."""
-
-BODIES: dict[str, tuple[tuple[Box, ...], tuple[Cylinder, ...]]] = {
-    "shapes": ((), ()),
-    "person": ((), PERSON),
-    "car": (CAR, ()),
-}
-"""Ready-made bodies: (boxes, cylinders) around the point on the ground below them, heading along x."""
-
-
-def shapes_of(thing: SceneObject) -> tuple[tuple[Box, ...], tuple[Cylinder, ...]]:
-    """Return all boxes and all cylinders of an object, its body's first."""
-    boxes, cylinders = BODIES[thing.body]
-    return boxes + thing.boxes, cylinders + thing.cylinders

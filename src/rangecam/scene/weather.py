@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from rangecam.errors import UsageError
 from rangecam.geometry import Lens, Mounting, pixel_pitch, position, rays, rotation
-from rangecam.scene.paths import Vector
+from rangecam.scene.paths import Pose, Vector
 from rangecam.scene.view import View
-from rangecam.settings import Fraction, NonNegative, Positive, settings
+from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
 from rangecam.types import Floats
 
 _MARGIN_M = 0.2
@@ -38,6 +38,25 @@ class Drop:
 
 
 @settings
+class Cloud:
+    """A cloud of dust or spray: diffuse grains, normally distributed around its middle, that drift with the wind.
+
+    Grains are larger and fewer than real ones; what counts is how much of its footprint a pixel sees covered.
+    """
+
+    position_m: Vector
+    """Its middle at time 0, on the ground's axes."""
+    velocity_mps: Vector = (0.0, 0.0, 0.0)
+    """Of its middle, over ground."""
+    radius_m: Positive = 0.5
+    """Standard deviation of the grains from its middle, along each axis."""
+    grains: PositiveInt = 5000
+    """How many."""
+    diameter_m: Positive = 1e-3
+    """Of a grain; as bright as snow (`snow_reflectivity`)."""
+
+
+@settings
 class Weather:
     """What falls between camera and scene; by default nothing."""
 
@@ -47,6 +66,8 @@ class Weather:
     """Snowfall as rate of the melted water; the melted sizes follow Gunn and Marshall (1958)."""
     drops: tuple[Drop, ...] = ()
     """Drops at given places, which do not fall."""
+    clouds: tuple[Cloud, ...] = ()
+    """Clouds of dust or spray."""
     smallest_radius_m: Positive = 1e-4
     """Drops of the random field are no smaller; 1e2 um in 5.2.1.3."""
     largest_radius_m: Positive = 4e-3
@@ -109,7 +130,29 @@ def precipitation(
         velocity_mps = np.stack([np.full_like(fall_mps, -speed_mps), np.zeros_like(fall_mps), -fall_mps], axis=-1)
         in_vehicle_m = position_m @ rotation(mounting).T + position(mounting)
         parts.append(Particles(in_vehicle_m, velocity_mps, diameter_m, np.full(diameter_m.shape, mirrors)))
-    columns = zip(*((p.position_m, p.velocity_mps, p.diameter_m, p.mirrors) for p in parts), strict=True)
+    return joined(*parts)
+
+
+def clouds(weather: Weather, time_s: float, own: Pose, rng: np.random.Generator) -> Particles:
+    """Return the grains of the clouds at `time_s`, in axes of the vehicle at `own`; each time others of the cloud."""
+    empty = Particles(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
+    return joined(empty, *(_grains(cloud, time_s, own, rng) for cloud in weather.clouds))
+
+
+def _grains(cloud: Cloud, time_s: float, own: Pose, rng: np.random.Generator) -> Particles:
+    c, s = math.cos(own.heading_rad), math.sin(own.heading_rad)
+    into = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    wind = np.array(cloud.velocity_mps)
+    middle = into @ (np.array(cloud.position_m) + wind * time_s - (own.x_m, own.y_m, 0.0))
+    placed = middle + cloud.radius_m * rng.standard_normal((cloud.grains, 3))
+    placed = placed[placed[:, 2] > 0]  # not in the ground
+    moving = into @ wind - (own.speed_mps, 0.0, 0.0) - np.cross([0.0, 0.0, own.yaw_rate_radps], placed)
+    return Particles(placed, moving, np.full(len(placed), cloud.diameter_m), np.zeros(len(placed), bool))
+
+
+def joined(*several: Particles) -> Particles:
+    """Return all particles of several fields as one."""
+    columns = zip(*((p.position_m, p.velocity_mps, p.diameter_m, p.mirrors) for p in several), strict=True)
     return Particles(*(np.concatenate(column) for column in columns))
 
 

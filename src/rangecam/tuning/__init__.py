@@ -7,13 +7,12 @@ well and says truly how well: too little noise makes the innovations too unlikel
 - paths: what the tracks took, and how likely it is
 - names: numbers of the settings by name
 - search: the most likely values
-- workers: in parallel, here or on a cluster
 """
 
 from rangecam.tuning.names import process_noise, value_of, with_values
 from rangecam.tuning.paths import Likelihood, Paths, follow, likelihood, paths_of, side_by_side
 from rangecam.tuning.search import Tuned, follow_all, toml_of, tune
-from rangecam.tuning.workers import mapping, workers
+from rangecam.workers import mapping, workers
 
 __all__ = [
     "Likelihood",

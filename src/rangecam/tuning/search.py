@@ -14,7 +14,7 @@ from rangecam.errors import DataError, UsageError
 from rangecam.tracking import TrackingSettings
 from rangecam.tuning.names import process_noise, value_of, with_values
 from rangecam.tuning.paths import Likelihood, Paths, follow, likelihood
-from rangecam.tuning.workers import Mapper
+from rangecam.workers import Mapper
 from rangecam.types import Floats
 from rangecam.values import value
 

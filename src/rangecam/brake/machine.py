@@ -1,0 +1,285 @@
+"""The state machine of the emergency brake (S-DEC-04, Steinbäck 2016, section 3.5.4 and figure 3.21). Pure.
+
+    USER_CONTROL --an object demands braking--> STOPPING --standstill--> USER_CONTROL
+    any state ----the system does not work----> FAULT ----works again, at standstill--> USER_CONTROL
+
+One rule covers every way in which input can go wrong: a bad image is no image, and a bad car state is none. What is not
+followed by a good one within its timeout is a fault, and a fault brakes to a stop. `advance` is to be called for every
+new image, every new car state and at least every 20 ms: the timeouts are exact to within that time.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+
+from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
+
+
+class Mode(IntEnum):
+    """Who drives; the names of figure 3.21 are User Control, Stop via CAN, System Not Working."""
+
+    USER_CONTROL = 0
+    STOPPING = 1
+    FAULT = 2
+
+
+class Fault(Enum):
+    """What does not work; the value is what people read."""
+
+    STARTING = "not yet seen to work"
+    NO_IMAGE = "no new image"
+    CLOCK = "stamped with a time that has not come"
+    REPEATED = "the same image again"
+    OUT_OF_ORDER = "an image older than the last"
+    FROZEN = "the same samples again"
+    LATE = "images come late"
+    SATURATED = "too much light"
+    BLOCKED = "lens blocked or blind"
+    NO_CAR_STATE = "no new car state"
+    SPEED_IMPOSSIBLE = "a speed that the car cannot have"
+    SPEED_JUMP = "the speed changed faster than a car can"
+    SPEED_CONTRADICTED = "the scene moves although the car says that it stands"
+
+
+class Action(IntEnum):
+    """What the machine asks the gate to send."""
+
+    NONE = 0
+    BRAKE = 1
+    GIVE_BACK = 2
+
+
+@settings
+class MachineSettings:
+    """When input counts as lost, when the car stands, and how a fault ends."""
+
+    image_timeout_s: Positive = 0.1
+    """Without a good image for longer than this the system does not work: three frame periods at 30 frames/s."""
+    car_timeout_s: Positive = 0.1
+    """Without a good car state for longer than this likewise: five periods of the status message."""
+    standstill_mps: NonNegative = 0.05
+    """At or below this speed the car stands."""
+    standstill_time_s: NonNegative = 0.3
+    """It must stand for so long before control is given back."""
+    recovery_images: PositiveInt = 10
+    """Good images in a row that end a fault, at standstill."""
+    give_back_time_s: Positive = 0.2
+    """The give-back message is repeated for so long; then silence, which ends the control as well (E-S-25)."""
+    brake: Fraction = 1.0
+    """Share of full braking."""
+    max_speed_mps: Positive = 6.0
+    """A higher speed is impossible; the scaled car reaches 20 km/h = 5.56 m/s (N-S-040)."""
+    max_acceleration_mps2: Positive = 10.0
+    """No car gains speed faster ..."""
+    max_deceleration_mps2: Positive = 10.0
+    """... or loses it faster: a wheel that does has locked."""
+    speed_step_mps: NonNegative = 0.3
+    """Allowance of both for noise and for messages that come bunched."""
+    scene_speed_mps: Positive = 1.0
+    """A scene that comes closer faster than this contradicts a car state that says standstill."""
+
+
+@dataclass(frozen=True)
+class Perception:
+    """The newest result of perception.
+
+    frame_id, time_s: of the raw frame, on the camera's clock. received_s: arrival of the raw frame on the clock of
+    the decision unit, so that its age counts the processing. brake, reason: of the decision.
+    faults: what `health.judge` found. scene_speed_mps: speed at which the scene comes closer, None where unknown.
+    """
+
+    frame_id: int
+    time_s: float
+    received_s: float
+    brake: bool
+    reason: str
+    faults: tuple[Fault, ...] = ()
+    scene_speed_mps: float | None = None
+
+
+@dataclass(frozen=True)
+class CarState:
+    """The newest state of the car: speed >= 0 by the wheels, direction, arrival on the decision unit's clock."""
+
+    speed_mps: float
+    received_s: float
+    forward: bool = True
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the machine sees at `time_s` (monotonic clock of the decision unit): the newest of each, None before it."""
+
+    time_s: float
+    perception: Perception | None = None
+    car: CarState | None = None
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Why to brake: a fault, or (None) an object; since when, and when this was last affirmed by evidence."""
+
+    fault: Fault | None
+    reason: str
+    since_s: float
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the machine asks for: number counts the calls, brake is the share of full braking, cause says why."""
+
+    time_s: float
+    number: int
+    action: Action
+    brake: float = 0.0
+    cause: Cause | None = None
+
+
+NOTHING_SEEN = Perception(-1, -math.inf, -math.inf, brake=False, reason="")
+NOTHING_HEARD = CarState(0.0, -math.inf)
+
+
+@dataclass(frozen=True)
+class BrakeState:
+    """The memory of the machine. It starts as a fault, which ends as every fault does.
+
+    cause: of the braking, or of the last one. number: calls so far.
+    perception, car: the last good ones (in a fault the last ones, so that a restarted camera is taken up again).
+    image_s, car_s: arrival of the last good one. image_fault, car_fault: what was wrong with the last bad one since.
+    good_images: in a row, up to as many as are needed. speed_mps: of the car, which may exceed that of its wheels.
+    standing_s: arrival of the first good car state in a row that says standstill, inf where it does not.
+    released_s: when control was given back last.
+    """
+
+    mode: Mode = Mode.FAULT
+    cause: Cause = Cause(Fault.STARTING, Fault.STARTING.value, -math.inf, -math.inf)
+    number: int = 0
+    perception: Perception = NOTHING_SEEN
+    image_s: float = -math.inf
+    image_fault: Fault = Fault.NO_IMAGE
+    good_images: int = 0
+    car: CarState = NOTHING_HEARD
+    car_s: float = -math.inf
+    car_fault: Fault = Fault.NO_CAR_STATE
+    speed_mps: float = 0.0
+    standing_s: float = math.inf
+    released_s: float = -math.inf
+
+
+def advance(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> tuple[BrakeState, Request]:
+    """Return the next state and what to send. The same arguments give the same answer; nothing is raised."""
+    state = _take_car(_take_image(state, inputs, settings), inputs, settings)
+    state = replace(_change_mode(state, inputs.time_s, settings), number=state.number + 1)
+    if state.mode is not Mode.USER_CONTROL:
+        return state, Request(inputs.time_s, state.number, Action.BRAKE, settings.brake, state.cause)
+    giving_back = inputs.time_s - state.released_s <= settings.give_back_time_s
+    return state, Request(inputs.time_s, state.number, Action.GIVE_BACK if giving_back else Action.NONE)
+
+
+def _change_mode(state: BrakeState, time_s: float, settings: MachineSettings) -> BrakeState:
+    """Return the state after the transition of figure 3.21 that is due, if there is one."""
+    fault = _fault(state, time_s, settings)
+    if fault is not None:
+        since_s = state.cause.since_s if state.mode is Mode.FAULT else time_s
+        return replace(state, mode=Mode.FAULT, cause=Cause(fault, fault.value, since_s, time_s))
+    if state.mode is Mode.USER_CONTROL:
+        if not _must_stop(state, settings):
+            return state
+        return replace(state, mode=Mode.STOPPING, cause=Cause(None, state.perception.reason, time_s, state.image_s))
+    stands = state.car_s - state.standing_s >= settings.standstill_time_s
+    works = state.mode is Mode.STOPPING or state.good_images >= settings.recovery_images
+    if stands and works:
+        return replace(state, mode=Mode.USER_CONTROL, released_s=time_s)
+    affirmed_s = state.image_s if state.mode is Mode.STOPPING else time_s
+    return replace(state, cause=replace(state.cause, time_s=affirmed_s))
+
+
+def _fault(state: BrakeState, time_s: float, settings: MachineSettings) -> Fault | None:
+    """Return what does not work now. With a clock that runs backwards an age is negative, which is no good age."""
+    if not 0 <= time_s - state.image_s <= settings.image_timeout_s:
+        return state.image_fault
+    if not 0 <= time_s - state.car_s <= settings.car_timeout_s:
+        return state.car_fault
+    return None
+
+
+def _must_stop(state: BrakeState, settings: MachineSettings) -> bool:
+    """Return whether the newest image, taken since control was given back, demands braking of a car that moves on."""
+    return (
+        state.perception.brake
+        and state.image_s > state.released_s
+        and state.car.forward
+        and state.speed_mps > settings.standstill_mps
+    )
+
+
+def _take_image(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> BrakeState:
+    """Return the state after a look at the newest image, which may be that of the last call. A bad one changes little:
+    what is good must follow the last good one, or in a fault the last one.
+    """
+    new = inputs.perception
+    if new is None or new == state.perception:
+        return state
+    fault = _image_fault(new, state.perception, inputs.time_s)
+    if fault is None:
+        good = min(state.good_images + 1, settings.recovery_images)
+        return replace(state, perception=new, image_s=new.received_s, image_fault=Fault.NO_IMAGE, good_images=good)
+    last = new if state.mode is Mode.FAULT else state.perception
+    return replace(state, perception=last, image_fault=fault, good_images=0)
+
+
+def _image_fault(new: Perception, last: Perception, time_s: float) -> Fault | None:
+    """Return what is wrong with an image: its stamps, or what its health says."""
+    if not new.received_s <= time_s or not math.isfinite(new.time_s):
+        return Fault.CLOCK
+    if new.frame_id == last.frame_id or new.time_s == last.time_s:
+        return Fault.REPEATED
+    if new.frame_id < last.frame_id or new.time_s < last.time_s:
+        return Fault.OUT_OF_ORDER
+    return new.faults[0] if new.faults else None
+
+
+def _take_car(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> BrakeState:
+    """Return the state after a look at the newest car state, which may be that of the last call (as `_take_image`)."""
+    new = inputs.car
+    if new is None or new == state.car:
+        return state
+    fault = _car_fault(new, state, inputs, settings)
+    if fault is not None and state.mode is not Mode.FAULT:
+        return replace(state, car_fault=fault, standing_s=math.inf)
+    if fault is Fault.SPEED_IMPOSSIBLE:
+        return replace(state, car=replace(new, speed_mps=state.speed_mps), car_fault=fault, standing_s=math.inf)
+    # A locked wheel stands, but its car does not: the speed falls no faster than that of any car.
+    least_mps = state.speed_mps - settings.max_deceleration_mps2 * max(0.0, new.received_s - state.car.received_s)
+    speed_mps = max(new.speed_mps, least_mps)
+    if fault is not None:
+        return replace(state, car=new, car_fault=fault, speed_mps=speed_mps, standing_s=math.inf)
+    stands = speed_mps <= settings.standstill_mps
+    return replace(
+        state,
+        car=new,
+        car_s=new.received_s,
+        car_fault=Fault.NO_CAR_STATE,
+        speed_mps=speed_mps,
+        standing_s=min(state.standing_s, new.received_s) if stands else math.inf,
+    )
+
+
+def _car_fault(new: CarState, state: BrakeState, inputs: Inputs, settings: MachineSettings) -> Fault | None:
+    """Return what is wrong with a car state: its stamp, or its speed beside the last one and beside the scene."""
+    if not state.car.received_s < new.received_s <= inputs.time_s:
+        return Fault.CLOCK
+    if not 0 <= new.speed_mps <= settings.max_speed_mps:
+        return Fault.SPEED_IMPOSSIBLE
+    seconds = new.received_s - state.car.received_s
+    gain_mps = new.speed_mps - state.speed_mps
+    if gain_mps > settings.max_acceleration_mps2 * seconds + settings.speed_step_mps:
+        return Fault.SPEED_JUMP
+    braking = state.mode is not Mode.USER_CONTROL  # then wheels may lock
+    if not braking and -gain_mps > settings.max_deceleration_mps2 * seconds + settings.speed_step_mps:
+        return Fault.SPEED_JUMP
+    scene_mps = inputs.perception.scene_speed_mps if inputs.perception is not None else None
+    if scene_mps is not None and new.speed_mps <= settings.standstill_mps and scene_mps > settings.scene_speed_mps:
+        return Fault.SPEED_CONTRADICTED
+    return None

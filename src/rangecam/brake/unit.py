@@ -1,0 +1,39 @@
+"""The decision unit: machine, gate and friction in one step. What calls it owns the clock and the bus."""
+
+from dataclasses import dataclass, replace
+
+from rangecam.brake.friction import Friction, FrictionSettings, observe
+from rangecam.brake.gate import CanFrame, Gate, GateSettings, let_pass
+from rangecam.brake.health import HealthSettings
+from rangecam.brake.machine import BrakeState, Inputs, MachineSettings, Request, advance
+from rangecam.settings import settings
+
+
+@settings
+class BrakeSettings:
+    """The emergency brake: health of the input, states, gate, friction."""
+
+    health: HealthSettings = HealthSettings()
+    machine: MachineSettings = MachineSettings()
+    gate: GateSettings = GateSettings()
+    friction: FrictionSettings = FrictionSettings()
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The memory of the decision unit. It starts with a closed gate (`gate.arm` opens it) and as a fault."""
+
+    state: BrakeState = BrakeState()
+    gate: Gate = Gate()
+    friction: Friction = Friction()
+
+
+def step(unit: Unit, inputs: Inputs, settings: BrakeSettings) -> tuple[Unit, Request, CanFrame | None]:
+    """Return the unit after a step, what the machine asked for, and the frame to send now, if any.
+
+    To be called for every new image, every new car state and at least every 20 ms (S-DEC-01).
+    """
+    state, request = advance(unit.state, inputs, settings.machine)
+    gate, frame = let_pass(unit.gate, request, inputs.time_s, settings.gate)
+    friction = observe(unit.friction, state, inputs.time_s, settings.friction)
+    return replace(unit, state=state, gate=gate, friction=friction), request, frame

@@ -1,0 +1,180 @@
+"""Messages of the car's bus to bytes and back (Steinbäck 2016, appendix A.4). Values are SI; docs/can.md decides what is open.
+
+cantools packs and scales after `messages.dbc`; what it lets pass silently (a wrong magic number, values beyond their
+limits, codes without a name) is refused here, always as a `CodecError` that says why.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from rangecam.can.layout import BRAKE_MODE, GIVE_BACK_DATA, MAGIC, MASTER_ID
+from rangecam.errors import DataError
+
+
+class DriveMode(IntEnum):
+    """Auto Mode of a take-over."""
+
+    NONE = 0
+    FORWARD = 1
+    BACKWARD = 2
+    BRAKE = BRAKE_MODE
+
+
+class SteeringMode(IntEnum):
+    """Steering Mode of a take-over."""
+
+    NONE = 0
+    LEFT = 1
+    RIGHT = 2
+
+
+class Reason(StrEnum):
+    """Why a frame or a message was refused."""
+
+    UNKNOWN_ID = "unknown identifier"
+    LENGTH = "wrong length"
+    RANGE = "value out of range"
+
+
+class CodecError(DataError):
+    """A frame that is no message of the car, or a message that is no frame; `reason` is for counting."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class CarStatus1:
+    """0xA0, table A.2. speed_mps >= 0 by the wheels, without direction. power_w ends at 65.535, which means "or more" (E-S-31)."""
+
+    motor_current_a: float
+    battery_voltage_v: float
+    power_w: float
+    speed_mps: float
+
+
+@dataclass(frozen=True)
+class CarStatus2:
+    """0xA1, table A.3: motor voltage and five temperatures."""
+
+    motor_voltage_v: float
+    temperature_1_c: float
+    temperature_2_c: float
+    temperature_3_c: float
+    temperature_4_c: float
+    temperature_5_c: float
+
+
+@dataclass(frozen=True)
+class RemoteValues:
+    """0xDB, table A.4: what the driver's remote says, each -1..1.
+
+    throttle: accelerate > 0, brake < 0. steering: left > 0. direction: backward < 0, else forward.
+    """
+
+    throttle: float
+    steering: float
+    direction: float
+
+
+@dataclass(frozen=True)
+class TakeOver:
+    """0x50 with the magic number, table A.5: the car obeys this and no longer the remote. Values are shares 0..1."""
+
+    mode: DriveMode
+    value: float
+    steering: SteeringMode = SteeringMode.NONE
+    steering_value: float = 0.0
+
+
+@dataclass(frozen=True)
+class GiveBack:
+    """0x50 without the magic number: the driver has control again, whatever else the frame holds."""
+
+
+Message = CarStatus1 | CarStatus2 | RemoteValues | TakeOver | GiveBack
+
+
+MAGIC_NUMBER = int.from_bytes(MAGIC, "little")
+
+FIELDS: dict[str, tuple[type[Message], dict[str, str]]] = {
+    "DeviceID1": (
+        CarStatus1,
+        {
+            "motor_current_a": "AutoMotorCurrent",
+            "battery_voltage_v": "AutoBattVoltage",
+            "power_w": "AutoPower",
+            "speed_mps": "AutoRotationSpeed",
+        },
+    ),
+    "DeviceID2": (
+        CarStatus2,
+        {"motor_voltage_v": "AutoMotorVoltage", **{f"temperature_{n}_c": f"AutoTemp{n}" for n in range(1, 6)}},
+    ),
+    "DeviceDBG": (RemoteValues, {"throttle": "RemoteCh1", "steering": "RemoteCh2", "direction": "RemoteCh3"}),
+    "MasterID": (
+        TakeOver,
+        {"mode": "AutoMode", "value": "AutoValue", "steering": "SteeringMode", "steering_value": "SteeringValue"},
+    ),
+}
+"""Messages by their name in the DBC file: our value, and the signal that each of its fields is."""
+_NAMES = {kind: name for name, (kind, _) in FIELDS.items()}
+_CONSTANT = {"MasterID": {"Magic": MAGIC_NUMBER, "Reserved": 0}, "DeviceID2": {"AutoReserved": 0}}
+
+
+@cache
+def database() -> Any:
+    """Return the messages as cantools knows them, from the DBC file that ships with rangecam."""
+    import cantools
+
+    return cantools.database.load_string(files("rangecam.can").joinpath("messages.dbc").read_text("utf-8"), "dbc")
+
+
+def encode(message: Message) -> tuple[int, bytes]:
+    """Return identifier and data bytes of a message. Raises CodecError for a value that its bytes cannot hold.
+
+    A power above 65.535 W is sent as that.
+    """
+    if isinstance(message, GiveBack):
+        return MASTER_ID, GIVE_BACK_DATA
+    name = _NAMES[type(message)]
+    values = {signal: float(getattr(message, field)) for field, signal in FIELDS[name][1].items()}
+    known = database().get_message_by_name(name)
+    if name == "DeviceID1":
+        values["AutoPower"] = min(values["AutoPower"], known.get_signal_by_name("AutoPower").maximum)
+    for signal, value in values.items():
+        _check_range(known, signal, value)
+    packed: bytes = known.encode({**values, **_CONSTANT.get(name, {})}, strict=False)
+    return known.frame_id, packed
+
+
+def decode(can_id: int, data: bytes) -> Message:
+    """Return the message of a frame. Raises CodecError, and nothing else, for whatever is none."""
+    known = {each.frame_id: each for each in database().messages}.get(can_id)
+    if known is None:
+        raise CodecError(Reason.UNKNOWN_ID, f"0x{can_id:X} is no message of the car")
+    if len(data) != known.length:
+        raise CodecError(Reason.LENGTH, f"{known.name} has {known.length} bytes, not {len(data)}")
+    if can_id == MASTER_ID and bytes(data[6:]) != MAGIC:
+        return GiveBack()
+    values = known.decode(bytes(data), decode_choices=False)
+    kind, fields = FIELDS[known.name]
+    for signal in fields.values():
+        _check_range(known, signal, values[signal])
+    made: dict[str, Any] = {field: values[signal] for field, signal in fields.items()}
+    if kind is TakeOver:
+        made |= {"mode": DriveMode(made["mode"]), "steering": SteeringMode(made["steering"])}
+    return kind(**made)
+
+
+def _check_range(known: Any, signal: str, value: float) -> None:
+    limits = known.get_signal_by_name(signal)
+    if not limits.minimum <= value <= limits.maximum:
+        raise CodecError(
+            Reason.RANGE,
+            f"{known.name}.{signal} = {value:g}: from {limits.minimum:g} to {limits.maximum:g} {limits.unit or ''}".rstrip(),
+        )

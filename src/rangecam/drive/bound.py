@@ -1,0 +1,149 @@
+"""What could have been done: the drive without brakes, and the drive braked as soon as the target could be seen.
+
+A collision counts as avoidable if an ideal system avoids it: one that takes the first image in which the camera, with
+its field of view, light and noise, gives enough right pixels of the target, needs the latency of the real one and as
+many images as the tracker confirms a track with, and then brakes fully, on the true road, with the true brakes.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rangecam.brake.rule import Threat, is_object
+from rangecam.cameras.simulated import SIMULATE, look
+from rangecam.clean import clean
+from rangecam.config import Config
+from rangecam.drive.contact import impact_speed, nearest
+from rangecam.drive.eye import sequence_s
+from rangecam.drive.journey import between, hand_of, pose_of
+from rangecam.drive.settings import DriveSettings
+from rangecam.hdr import ranged
+from rangecam.pipeline import RANGING
+from rangecam.scene.paths import OwnMotion, Pose
+from rangecam.scene.render import ray_bundle, truth
+from rangecam.scene.scenario import Scenario
+from rangecam.vehicle.dynamics import WAY, Command, Road, VehicleState, move, standing
+from rangecam.vehicle.remote import command_of
+
+HARMLESS_MPS = 1 / 3.6
+"""An impact below it counts as none."""
+_STEP_S = 0.01
+_LOOKS_HZ = 10.0
+_GROSS_M = 0.3
+_LONGEST_S = 12.0  # of braking
+
+
+class Roll(NamedTuple):
+    """How a drive went without any camera: what was hit first, when and how fast, the least gap, the way."""
+
+    hit: int
+    """i + 1 of the scenario's objects, 0 for none."""
+    hit_s: float
+    impact_mps: float
+    least_gap_m: float
+    own: OwnMotion
+
+
+def starting(scenario: Scenario, settings: DriveSettings, time_s: float = 0.0) -> VehicleState:
+    """Return the vehicle as the scenario starts, or before on a straight way."""
+    state = standing(settings.vehicle, time_s, scenario.ego.speed_mps)
+    state.motion[0] = scenario.ego.speed_mps * time_s
+    return state
+
+
+def roll(scenario: Scenario, settings: DriveSettings, brake_from_s: float = math.inf) -> Roll:
+    """Return how the drive goes if the driver drives as the scenario says, and brakes fully from `brake_from_s` on."""
+    car, road = starting(scenario, settings), Road(settings.friction)
+    poses: list[Pose] = [pose_of(car)]
+    own = between(poses, 0.0, _STEP_S)
+    least = math.inf
+    count = math.ceil((scenario.duration_s + (_LONGEST_S if math.isfinite(brake_from_s) else 0.0)) / _STEP_S)
+    for k in range(1, count + 1):
+        time_s = (k - 1) * _STEP_S
+        braking = time_s >= brake_from_s
+        hand = hand_of(scenario, time_s, car, settings.vehicle, braking)
+        command = command_of(hand)
+        car = move(car, Command(0.0, 1.0, command.steer) if braking else command, _STEP_S, settings.vehicle, road)
+        poses.append(pose_of(car))
+        near = nearest(scenario, k * _STEP_S, poses[-1], settings.vehicle, settings.harmless)
+        least = min(least, near.gap_m)
+        if near.gap_m <= 0:
+            return _hit(scenario, settings, near.number, own, k * _STEP_S, _STEP_S)
+        if braking and car.speed_mps == 0.0:
+            break
+    return Roll(0, math.inf, 0.0, least, own)
+
+
+def _hit(
+    scenario: Scenario, settings: DriveSettings, number: int, own: OwnMotion, touches_s: float, within_s: float
+) -> Roll:
+    """Return the contact, whose time lies within a step before `touches_s`; found to a thousandth of the step."""
+    free_s = touches_s - within_s
+    for _ in range(10):
+        middle_s = (free_s + touches_s) / 2
+        near = nearest(scenario, middle_s, own(middle_s), settings.vehicle, settings.harmless)
+        if near.gap_m > 0:
+            free_s = middle_s
+        else:
+            touches_s, number = middle_s, near.number
+    return Roll(number, touches_s, impact_speed(scenario, touches_s, own(touches_s), number), 0.0, own)
+
+
+contact = _hit
+
+
+def first_sight(scenario: Scenario, config: Config, free: Roll, seed: int) -> float:
+    """Return when the exposure begins that first shows enough of what the drive without brakes hits; inf if none does.
+
+    Enough: as many pixels that the chain keeps, with a range that is right, as the brake rule asks for.
+    """
+    camera, shape = config.camera, (config.camera.rows, config.camera.columns)
+    bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
+    for k in range(math.ceil(free.hit_s * _LOOKS_HZ)):
+        time_s = k / _LOOKS_HZ
+        seen = truth(scenario, time_s, camera.lens, config.mounting, shape, free.own)
+        target = seen.object_id == free.hit
+        if not _enough(seen.range_m[target], config):
+            continue
+        looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, k, 3]), free.own)
+        raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, k, 2]))
+        image = clean(ranged(RANGING[config.ranging], raw, camera), camera.lens, config.mounting, config.clean, None)
+        right = target & image.valid & (np.abs(image.range_m - seen.range_m) < _GROSS_M + 3 * image.sigma_m)
+        if _enough(seen.range_m[right], config):
+            return time_s - sequence_s(camera) / 2
+    return math.inf
+
+
+def _enough(ranges_m: np.ndarray, config: Config) -> bool:
+    if not ranges_m.size:
+        return False
+    threat = Threat(float(np.min(ranges_m)), 1.0, float(ranges_m.size))
+    return is_object(threat, config.decision) and ranges_m.size >= config.segments.min_pixels
+
+
+class Bound(NamedTuple):
+    """What an ideal system makes of a drive."""
+
+    threat: bool
+    """Without brakes something is hit, not more slowly than `HARMLESS_MPS`."""
+    unbraked_mps: float
+    """How fast."""
+    seen_s: float
+    braked_mps: float
+    """How fast the ideal system still hits something."""
+    avoidable: bool
+
+
+def bound_of(scenario: Scenario, config: Config, settings: DriveSettings, seed: int) -> Bound:
+    """Return what could have been done; see above."""
+    free = roll(scenario, settings)
+    if not free.hit or free.impact_mps < HARMLESS_MPS:
+        return Bound(False, free.impact_mps, math.inf, 0.0, False)
+    seen_s = first_sight(scenario, config, free, seed)
+    frames = settings.result_after_frames + config.tracking.confirm_hits - 1
+    braked_s = seen_s + frames / config.camera.frame_rate_hz + 2 * settings.step_s
+    if braked_s >= free.hit_s:
+        return Bound(True, free.impact_mps, seen_s, free.impact_mps, False)
+    braked = roll(scenario, settings, braked_s)
+    return Bound(True, free.impact_mps, seen_s, braked.impact_mps, braked.impact_mps < HARMLESS_MPS)

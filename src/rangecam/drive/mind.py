@@ -1,0 +1,108 @@
+"""The system under test: perception, the health of its input, the state machine of the brake, the gate, on the bus."""
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rangecam.brake.gate import CanFrame, Gate, arm
+from rangecam.brake.health import Health, judge, perceived
+from rangecam.brake.machine import BrakeState, CarState, Inputs, Mode, Perception
+from rangecam.brake.rule import full_deceleration
+from rangecam.brake.unit import BrakeSettings, Unit, step
+from rangecam.can.codec import CarStatus1, CodecError, RemoteValues, decode
+from rangecam.config import Config
+from rangecam.drive.eye import sequence_s
+from rangecam.drive.settings import DriveSettings
+from rangecam.pipeline import Sink, process_frame
+from rangecam.types import Capture, Ego, Frame, RangeImage, Tracks
+
+
+def brake_settings(config: Config, settings: DriveSettings) -> BrakeSettings:
+    """Return the brake's settings for this camera and vehicle.
+
+    An image is missed `missed_frames` periods after it should have been processed; a cause may be as old. No speed is
+    possible that the vehicle cannot reach. A vehicle whose wheels have locked slides on: it is believed to slow down no
+    faster than on the road that the decision reckons with, else control is given back before it stands.
+    """
+    timeout_s = latency_s(config, settings) + settings.missed_frames / config.camera.frame_rate_hz
+    brake = settings.brake
+    machine = replace(
+        brake.machine,
+        image_timeout_s=timeout_s,
+        max_speed_mps=1.1 * settings.vehicle.max_speed_mps,
+        max_deceleration_mps2=min(brake.machine.max_deceleration_mps2, full_deceleration(config.decision)),
+    )
+    return replace(brake, machine=machine, gate=replace(brake.gate, cause_age_s=timeout_s + settings.step_s))
+
+
+def latency_s(config: Config, settings: DriveSettings) -> float:
+    """Return the time from the end of the read-out of a frame to what was decided of it."""
+    return max(settings.result_after_frames / config.camera.frame_rate_hz - sequence_s(config.camera), 0.0)
+
+
+def at_work(start_s: float) -> Unit:
+    """Return the decision unit as it is after a start at standstill: armed, and nothing is wrong up to `start_s`."""
+    return Unit(BrakeState(mode=Mode.USER_CONTROL, image_s=start_s, car_s=start_s), arm(Gate()))
+
+
+class Mind:
+    """Takes frames of camera and bus, and says what to send; all of its time comes from the caller.
+
+    It begins at work, as after a start at standstill: `start_s` is when image and car state were last good.
+    """
+
+    def __init__(self, config: Config, settings: DriveSettings, start_s: float, sinks: Sequence[Sink]) -> None:
+        self._config, self._settings, self._sinks = config, settings, sinks
+        self._brake = brake_settings(config, settings)
+        self._latency_s = latency_s(config, settings)
+        self._tracks = Tracks.empty()
+        self._image: RangeImage | None = None
+        self._health: Health | None = None
+        self._waiting: list[tuple[float, int, Perception, Frame]] = []
+        self._steer, self._forward, self._ego = 0.0, True, Ego()
+        self._inputs = Inputs(start_s)
+        self.unit, self.frames = at_work(start_s), 0
+        self.frame: Frame | None = None
+
+    def see(self, capture: Capture, received_s: float) -> None:
+        """Process a frame that has arrived; its result is there after the latency of the processors."""
+        capture = replace(capture, ego=self._ego)
+        frame = process_frame(capture.raw, self._tracks, capture.ego, self._config, before=self._image)
+        self._tracks, self._image = frame.tracks, frame.image
+        for sink in self._sinks:
+            sink.write(capture, frame)
+        self._health = judge(frame, received_s, self._health, self._brake.health)
+        found = perceived(frame, self._health)
+        heapq.heappush(self._waiting, (received_s + self._latency_s, self.frames, found, frame))
+        self.frames += 1
+
+    def hear(self, frame: CanFrame, time_s: float) -> None:
+        """Take in a frame of the bus."""
+        try:
+            message = decode(frame.can_id, frame.data)
+        except CodecError:
+            return
+        if isinstance(message, RemoteValues):
+            self._steer, self._forward = message.steering, message.direction >= 0
+        elif isinstance(message, CarStatus1):
+            self._inputs = replace(self._inputs, car=CarState(message.speed_mps, time_s, self._forward))
+
+    def think(self, time_s: float) -> list[CanFrame]:
+        """Return what is to be sent now."""
+        self._inputs = replace(self._inputs, time_s=time_s)
+        while self._waiting and self._waiting[0][0] <= time_s:
+            _, _, found, self.frame = heapq.heappop(self._waiting)
+            self._inputs = replace(self._inputs, perception=found)
+        self.unit, _, frame = step(self.unit, self._inputs, self._brake)
+        self._ego = self._measured(time_s)
+        return [] if frame is None else [frame]
+
+    def _measured(self, time_s: float) -> Ego:
+        """Return what is known of the own vehicle: the speed that the machine believes, the yaw rate by the wheel."""
+        car, vehicle = self._inputs.car, self._settings.vehicle
+        if car is None:
+            return Ego(time_s)
+        speed = self.unit.state.speed_mps
+        steer = math.radians(vehicle.max_steer_deg) * self._steer
+        return Ego(time_s, speed, speed * math.tan(steer) / vehicle.wheelbase_m, car.forward)

@@ -1,0 +1,93 @@
+"""What a vehicle measures of itself: speed from the holes of a disc, voltages, currents, temperatures (S-VEH-02, -03)."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from rangecam.vehicle.dynamics import HOLE_S, PERIOD_S, SPEED, WHEEL, VehicleState
+from rangecam.vehicle.settings import Vehicle
+
+
+def measured_speed(state: VehicleState, vehicle: Vehicle) -> float:
+    """Return the speed in m/s by the time between the last two holes.
+
+    It has no sign, lags by half that time, knows of no slip, and is bounded by the time since the last hole: zero
+    after `timeout_s`.
+    """
+    sensor, period_s = vehicle.sensor, float(state.motion[PERIOD_S])
+    since_s = state.time_s - float(state.motion[HOLE_S])
+    if since_s >= sensor.timeout_s or not math.isfinite(period_s):
+        return 0.0
+    if sensor.tick_s > 0:
+        period_s = max(round(period_s / sensor.tick_s), 1) * sensor.tick_s
+    return sensor.hole_m / max(period_s, since_s)
+
+
+class Power(NamedTuple):
+    """What the vehicle measures of its electricity."""
+
+    motor_v: float
+    motor_a: float
+    battery_v: float
+    power_w: float
+
+
+def electricity(state: VehicleState, vehicle: Vehicle) -> Power:
+    """Return voltages, current and power: a direct-current motor behind a control that takes what it needs.
+
+    The motor's constant k follows from its top speed: k = full_v / max_speed, so that U = k w + I R and F = k I.
+    """
+    battery = vehicle.battery
+    open_v = open_circuit_v(state, vehicle)
+    k = battery.full_v / vehicle.max_speed_mps
+    wheel = float(state.motion[WHEEL])
+    force_n = vehicle.mass_kg * vehicle.drive_mps2 * state.command.drive * max(1 - wheel / vehicle.max_speed_mps, 0.0)
+    motor_a = force_n / k
+    motor_v = k * wheel + motor_a * vehicle.motor_ohm if motor_a > 0 else 0.0
+    wanted_w = motor_v * motor_a + vehicle.standby_w
+    # U I = P with U = open - I R; no more than what the battery can give
+    most_w = open_v**2 / (4 * battery.inner_ohm) if battery.inner_ohm > 0 else math.inf
+    power_w = min(wanted_w, most_w)
+    if battery.inner_ohm > 0:
+        root = math.sqrt(max(open_v**2 - 4 * battery.inner_ohm * power_w, 0.0))
+        battery_v = (open_v + root) / 2
+    else:
+        battery_v = open_v
+    return Power(motor_v, motor_a, battery_v, power_w)
+
+
+def open_circuit_v(state: VehicleState, vehicle: Vehicle) -> float:
+    """Return the voltage of the battery without load: from full to empty in proportion to the charge taken."""
+    battery = vehicle.battery
+    used = min(state.charge_as / (battery.capacity_ah * 3600), 1.0)
+    return battery.full_v + used * (battery.empty_v - battery.full_v)
+
+
+_HEATING_S = (60.0, 20.0, 300.0, 120.0)
+_CONTROL_LOSS = 0.05  # of what passes the motor control; *open*
+
+
+def discharged(state: VehicleState, vehicle: Vehicle, dt_s: float) -> VehicleState:
+    """Return the state after `dt_s` of taking what `electricity` says: charge, and warmth of the first order.
+
+    Motor, control, battery and electronics are warmed by their losses towards so many kelvin a watt (*open*).
+    """
+    now = electricity(state, vehicle)
+    battery_a = now.power_w / now.battery_v
+    losses_w = (
+        now.motor_a**2 * vehicle.motor_ohm,
+        _CONTROL_LOSS * now.motor_v * now.motor_a,
+        battery_a**2 * vehicle.battery.inner_ohm,
+        vehicle.standby_w,
+    )
+    outside = state.heat_c[4]
+    heat = [
+        warm + (1 - math.exp(-dt_s / tau_s)) * (outside + k * loss - warm)
+        for warm, loss, tau_s, k in zip(state.heat_c[:4], losses_w, _HEATING_S, vehicle.heating_k_per_w, strict=True)
+    ]
+    return replace(state, charge_as=state.charge_as + battery_a * dt_s, heat_c=(*heat, outside))
+
+
+def slips(state: VehicleState) -> bool:
+    """Return whether the wheels turn at another speed than the way says."""
+    return bool(state.motion[WHEEL] != state.motion[SPEED])
