@@ -29,9 +29,9 @@ def trace_events(timeline: Timeline) -> dict[str, Any]:
             events.append({"ph": "s", **arrow, "pid": 1, "tid": before.task.unit, "ts": before.ended_ns / 1e3})
             events.append({"ph": "f", "bp": "e", **arrow, **place, "ts": job.began_ns / 1e3})
         if job.skipped:
-            what = f"{job.task.name} skipped"
-            events.append({"ph": "i", "s": "t", "name": what, **place, "ts": job.released_ns / 1e3})
+            text = f"{job.task.name} skipped"
+            events.append({"ph": "i", "s": "t", "name": text, **place, "ts": job.released_ns / 1e3})
         elif job.ended_ns is not None and job.ended_ns > job.deadline_ns:
-            what = f"{job.task.name} late"
-            events.append({"ph": "i", "s": "t", "name": what, **place, "ts": job.deadline_ns / 1e3})
+            text = f"{job.task.name} late"
+            events.append({"ph": "i", "s": "t", "name": text, **place, "ts": job.deadline_ns / 1e3})
     return {"traceEvents": events, "displayTimeUnit": "ms"}

@@ -12,7 +12,7 @@ import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from rangecam.errors import DataError, UsageError
 from rangecam.types import Image
 
 PACKET_BYTES = 400
-BYTE_ORDER = "<"
+BYTE_ORDER: Literal["<"] = "<"
 """Little endian, as the microcontroller's memory; *open* in the thesis (S-UDP-07). Of samples and of our own fields."""
 START, STOP, IMAGE = b"FRM_STRT", b"FRM_STOP", b"IMG_"
 DEBUG_PACKETS = 4
