@@ -23,7 +23,7 @@ from rangecam.pipeline import RANGING
 from rangecam.scene.paths import OwnMotion, Pose
 from rangecam.scene.render import ray_bundle, truth
 from rangecam.scene.scenario import Scenario
-from rangecam.vehicle.dynamics import WAY, Command, Road, VehicleState, move, standing
+from rangecam.vehicle.dynamics import Command, Road, VehicleState, move, standing
 from rangecam.vehicle.remote import command_of
 
 HARMLESS_MPS = 1 / 3.6

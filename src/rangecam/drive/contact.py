@@ -24,9 +24,7 @@ class Nearest(NamedTuple):
 _ORIGIN = np.zeros(3)
 
 
-def nearest(
-    scenario: Scenario, time_s: float, pose: Pose, vehicle: Vehicle, harmless: tuple[str, ...] = ()
-) -> Nearest:
+def nearest(scenario: Scenario, time_s: float, pose: Pose, vehicle: Vehicle, harmless: tuple[str, ...] = ()) -> Nearest:
     """Return what is nearest to the vehicle, of all that is neither below its clearance nor above its height.
 
     harmless: things whose names begin so do not count.

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-
 from rangecam.cameras.simulated import SIMULATE, frame, look
 from rangecam.config import Camera, Config
 from rangecam.cw.sequence import fastest_frame_rate_hz

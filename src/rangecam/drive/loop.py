@@ -29,7 +29,7 @@ from rangecam.pipeline import Sink
 from rangecam.scene.paths import Pose
 from rangecam.scene.scenario import Scenario
 from rangecam.types import Floats
-from rangecam.vehicle.dynamics import BRAKE, PERIOD_S, WHEEL, HOLE_S, Road, VehicleState, move
+from rangecam.vehicle.dynamics import BRAKE, HOLE_S, PERIOD_S, WHEEL, Road, VehicleState, move
 from rangecam.vehicle.sensors import discharged, measured_speed
 from rangecam.vehicle.unit import Control, UnitState, advance_unit
 

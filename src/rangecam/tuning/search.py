@@ -14,9 +14,9 @@ from rangecam.errors import DataError, UsageError
 from rangecam.tracking import TrackingSettings
 from rangecam.tuning.names import process_noise, value_of, with_values
 from rangecam.tuning.paths import Likelihood, Paths, follow, likelihood
-from rangecam.workers import Mapper
 from rangecam.types import Floats
 from rangecam.values import value
+from rangecam.workers import Mapper
 
 _GRID = {1: 13, 2: 9}  # points along each parameter, by how many there are
 _ROUNDS = {1: 1, 2: 4}  # of the search along each of them

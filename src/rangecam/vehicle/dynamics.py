@@ -72,7 +72,7 @@ class VehicleState:
 
     @property
     def pose(self) -> tuple[float, float, float]:
-        """x and y in metres, heading in rad to the left of the x axis."""
+        """X and y in metres, heading in rad to the left of the x axis."""
         x, y, heading = self.motion[:3].tolist()
         return x, y, heading
 
@@ -174,7 +174,15 @@ def _integrate(m: Any, start_s: float, dt_s: float, told: Any, facts: Any, grip:
 
 @njit(cache=True, nogil=True)
 def _tyre(
-    motor: float, holds: float, v: float, w: float, grip: float, driven: float, inertia: float, antilock: float, h: float
+    motor: float,
+    holds: float,
+    v: float,
+    w: float,
+    grip: float,
+    driven: float,
+    inertia: float,
+    antilock: float,
+    h: float,
 ) -> tuple[float, float]:
     """Return the force of the tyres and the speed of the wheels after the step; v itself where they roll."""
     net = motor - holds if w > 0 or v > 0 else max(motor - holds, 0.0)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rangecam.drive.campaigns.trial import Drawn, Trial, configured, one_of, scene, uniform
-from rangecam.drive.settings import DriveSettings
+from rangecam.drive.opening import drive_settings
 from rangecam.scene.paths import EgoMotion, EgoPhase, Path
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.shapes import Box, Cylinder, SceneObject
@@ -49,8 +49,9 @@ def draw(rng: np.random.Generator, seed: int, layers: Mapping[str, Any]) -> Tria
         weather=name if name in ("rain", "dust", "leaves") else "",
     )
     layer = {"decision": {"friction": 0.9}} if on_road else {}
-    settings = DriveSettings(vehicle=vehicle, friction=friction, harmless=HARMLESS)
-    return Trial(drawn, scenario, configured(camera, layers, layer), settings, seed)
+    config = configured(camera, layers, layer)
+    told = {"vehicle": "passenger_car" if on_road else "scaled_car", "friction": friction, "harmless": HARMLESS}
+    return Trial(drawn, scenario, config, drive_settings(config, told), seed)
 
 
 def _scene(rng: np.random.Generator, name: str, camera: str, sight: Sight, light: Any) -> Scenario:
@@ -71,7 +72,9 @@ def _straight(speed: float) -> EgoMotion:
     return EgoMotion(speed_mps=speed)
 
 
-def _thing(name: str, body: Any, x: float, y: float, heading: float = 0.0, rho: float = 1.0, **more: Any) -> SceneObject:
+def _thing(
+    name: str, body: Any, x: float, y: float, heading: float = 0.0, rho: float = 1.0, **more: Any
+) -> SceneObject:
     return SceneObject(
         name=name,
         body=body,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rangecam.drive.campaigns.trial import Drawn, Trial, configured, one_of, scene, uniform
-from rangecam.drive.settings import DriveSettings
+from rangecam.drive.opening import drive_settings
 from rangecam.scene.paths import EgoMotion, Path, Phase
 from rangecam.scene.shapes import SceneObject
 from rangecam.vehicle.settings import VEHICLES
@@ -70,7 +70,7 @@ def draw(rng: np.random.Generator, seed: int, layers: Mapping[str, Any]) -> Tria
         light=light,
     )
     config = configured(camera, layers, ON_A_CAR[camera])
-    return Trial(drawn, scenario, config, DriveSettings(vehicle=_CAR, friction=FRICTION), seed)
+    return Trial(drawn, scenario, config, drive_settings(config, {"vehicle": "passenger_car"}), seed)
 
 
 def _stationary(rng: np.random.Generator, speed: float) -> Target:

@@ -1,10 +1,10 @@
 """A campaign's folder: rows as they come, the table of all, and recordings of what failed.
 
-    campaign.json   what is driven: name, seed, settings, version. A folder goes on only with the same.
-    drives.jsonl    a row for each finished drive, appended and flushed; a line that was cut off counts as none
-    drives.parquet  all rows by number, once all are there; the same bytes for any number of workers
-    failures/       NUMBER.mcap: drives that failed, once more with everything the camera saw
-    report.html     the page
+campaign.json   what is driven: name, seed, settings, version. A folder goes on only with the same.
+drives.jsonl    a row for each finished drive, appended and flushed; a line that was cut off counts as none
+drives.parquet  all rows by number, once all are there; the same bytes for any number of workers
+failures/       NUMBER.mcap: drives that failed, once more with everything the camera saw
+report.html     the page
 """
 
 import json
@@ -32,9 +32,7 @@ def one(number: int, campaign: str, seed: int, layers: Mapping[str, Any]) -> Row
     return row_of(number, trial_of(campaign, seed, number, layers))
 
 
-def run(
-    folder: Path, campaign: str, runs: int, seed: int, layers: Mapping[str, Any], mapper: Mapper
-) -> list[Row]:
+def run(folder: Path, campaign: str, runs: int, seed: int, layers: Mapping[str, Any], mapper: Mapper) -> list[Row]:
     """Drive what of a campaign is not yet in `folder`, and return the rows of drives 0..runs - 1.
 
     Every finished drive is kept at once, so that a killed campaign goes on where it stopped. Raises UsageError if the

@@ -61,9 +61,7 @@ def _target(
         return SceneObject(name="box", boxes=(box,), path=Path(start_m=(away_m, offset, 0.0))), 0.0, offset, size[0]
     if target == "crossing box":
         side, pace = one_of(rng, -1.0, 1.0), uniform(rng, 0.3, 1.0)
-        path = Path(
-            start_m=(away_m, offset - side * pace * away_m / speed, 0.0), velocity_mps=(0.0, side * pace, 0.0)
-        )
+        path = Path(start_m=(away_m, offset - side * pace * away_m / speed, 0.0), velocity_mps=(0.0, side * pace, 0.0))
         return SceneObject(name="box", boxes=(box,), path=path), pace, offset, size[0]
     if target == "slow car":
         pace = round(uniform(rng, 0.1, 0.5) * speed, 3)

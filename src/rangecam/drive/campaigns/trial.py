@@ -55,9 +55,7 @@ def configured(preset: str, layers: Mapping[str, Any], *settings: Mapping[str, A
 
 def scene(name: str, duration_s: float, objects: tuple[SceneObject, ...], preset: str, **more: Any) -> Scenario:
     """Return a scene that a campaign made."""
-    return Scenario(
-        name=name, description=name, preset=preset, duration_s=float(duration_s), objects=objects, **more
-    )
+    return Scenario(name=name, description=name, preset=preset, duration_s=float(duration_s), objects=objects, **more)
 
 
 def uniform(rng: np.random.Generator, low: float, high: float) -> float:
