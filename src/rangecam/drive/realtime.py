@@ -89,6 +89,7 @@ class Rig:
         self.mode, self.sign_s = Mode.FAULT, -math.inf
         self.cars: list[dict[str, Any]] = []
         self.frames: list[dict[str, Any]] = []
+        self.events: list[dict[str, Any]] = []
         for role in ROLES:
             self.start(role)
 
@@ -132,6 +133,9 @@ class Rig:
         elif report["role"] == "frame":
             self.frames.append(report)
         else:
+            if report["mode"] != self.mode:
+                why = report["reason"] if report["mode"] != Mode.USER_CONTROL else ""
+                self._note("perception", Mode(report["mode"]), why)
             self.mode, self.sign_s = Mode(report["mode"]), now_s
             number = round(1e3 * report["time_s"])
             sign = Perception(number, report["time_s"], now_s, brake=False, reason="")
@@ -142,9 +146,16 @@ class Rig:
             self._watchdog = at_work(now_s)
         if self._watchdog is not None:
             self._inputs = replace(self._inputs, time_s=now_s)
+            before = self._watchdog.state.mode
             self._watchdog, _, frame = step(self._watchdog, self._inputs, self._brake)
+            state = self._watchdog.state
+            if state.mode is not before:
+                self._note("watchdog", state.mode, "" if state.mode is Mode.USER_CONTROL else state.cause.reason)
             if frame is not None:
                 self._bus.send_frame(frame.can_id, frame.data)
+
+    def _note(self, who: str, mode: Mode, why: str) -> None:
+        self.events.append({"time_s": round(self.job.now_s(), 3), "who": who, "mode": mode.name, "reason": why})
 
     @property
     def ready(self) -> bool:
@@ -251,17 +262,21 @@ def drive_in_real_time(
     rng = np.random.default_rng(seed)
     with Rig(scenario, config, settings, seed) as rig:
         rig.await_ready()
-        first = len(rig.cars), len(rig.frames)
+        first = len(rig.cars), len(rig.frames), len(rig.events)
         rig.go()
         go_s = rig.job.go_s.value
         rig.watch(duration_s, lambda: _stands_again(rig))
         cars, frames = rig.cars[first[0] :], rig.frames[first[1] :]
+        events = [{**each, "time_s": round(each["time_s"] - go_s, 3)} for each in rig.events[first[2] :]]
         found = [upset(rig, rng) for _ in range(upsets)]
+        last = [{**each, "time_s": round(each["time_s"] - go_s, 3)} for each in rig.events[-12:]]
     return {
         "scenario": scenario.name,
         "duration_s": round(cars[-1]["time_s"] - go_s, 3) if cars else 0.0,
         **_outcome(scenario, settings, cars, go_s),
         **_latencies(config, settings, cars, frames),
+        "events": events,
+        "last_events": last,
         "upsets": [vars(each) for each in found],
     }
 
@@ -326,6 +341,9 @@ def describe(result: dict[str, Any]) -> str:
         lines.append(f"brake      {result['photon_to_brake_ms']:.0f} ms after the light of the image that demanded it")
     gap = "nothing near" if result["least_gap_m"] is None else f"least gap {result['least_gap_m']:.2f} m"
     lines.append(f"way        up to {result['top_speed_mps']:.2f} m/s, {gap}{', COLLISION' if result['collision'] else ''}")
+    for each in result["events"]:
+        because = f": {each['reason']}" if each["reason"] else ""
+        lines.append(f"           {each['time_s']:.2f} s {each['who']} {each['mode'].lower().replace('_', ' ')}{because}")
     for each in result["upsets"]:
         stop = f"stopped from {each['speed_mps']:.2f} m/s in {each['stopped_s']:.2f} s (stated {each['stated_s']:.2f} s)"
         lines.append(f"upset      {each['role']} {each['action']}: {stop}, {'recovered' if each['recovered'] else 'LOST'}")

@@ -45,6 +45,9 @@ LINK_MBIT = 400.0
 """Of the stream: a frame is on its way for some milliseconds, and small buffers hold it."""
 SIGN_S = 0.02
 """The perception says so often that it lives."""
+START_THROTTLE = 0.4
+"""The driver gives no more: the wheel tells no speed before its second hole, and a brisk start from rest looks to the
+brake like a speed that jumps."""
 _FOREVER_S = 1e9
 _BRAKED = Hand(-1.0)
 
@@ -143,8 +146,9 @@ def perception(job: Job) -> None:
                 _tell(report, job.report_port, {"role": "frame", **times, "done_s": done_s, "brake": brake})
             if done_s - signed_s >= SIGN_S:
                 signed_s = done_s
-                mode = int(mind.unit.state.mode)
-                _tell(report, job.report_port, {"role": "perception", "time_s": done_s, "mode": mode})
+                state = mind.unit.state
+                why = {"mode": int(state.mode), "reason": state.cause.reason}
+                _tell(report, job.report_port, {"role": "perception", "time_s": done_s, **why})
 
 
 def _capture(received: Any, config: Config) -> Capture:
@@ -158,8 +162,8 @@ def car(job: Job) -> None:
     """
     scenario, settings, vehicle = job.scenario, job.settings, job.settings.vehicle
     dt, road = settings.step_s, Road(settings.friction)
-    state, unit, command, taken = starting(scenario, settings, 0.0), UnitState(), Command(0.0, 1.0), False
-    state = _at_start(job, job.now_s())
+    state, unit, command, taken = _at_start(job, 0.0), UnitState(), Command(0.0, 1.0), False
+    hand_of(scenario, 0.0, discharged(move(state, command, dt, vehicle, road), vehicle, dt), vehicle, False)  # compiled
     with ExitStack() as stack:
         bus = stack.enter_context(Bus("udp_multicast", job.channel))
         out = _sending(stack)
@@ -175,6 +179,7 @@ def car(job: Job) -> None:
             taken = taken or unit.control is Control.BUS
             lets_go = settings.driver == "lets_go" and taken
             hand = hand_of(scenario, job.scene_s(now_s), state, vehicle, lets_go) if started else _BRAKED
+            hand = hand._replace(throttle=min(hand.throttle, START_THROTTLE))
             unit, command, status = advance_unit(unit, now_s, frames, hand, state, vehicle)
             for frame in status:
                 bus.send_frame(frame.can_id, frame.data)
