@@ -213,7 +213,9 @@ def stated_stop_s(speed_mps: float, config: Config, settings: DriveSettings) -> 
     rise, and friction does the rest, with the speed that the car may have gained until then.
     """
     vehicle, machine = settings.vehicle, brake_settings(config, replace(settings, result_after_frames=1e-9)).machine
-    waits_s = max(machine.image_timeout_s, machine.car_timeout_s) + 4 * settings.step_s + 2 / config.camera.frame_rate_hz
+    waits_s = (
+        max(machine.image_timeout_s, machine.car_timeout_s) + 4 * settings.step_s + 2 / config.camera.frame_rate_hz
+    )
     acts_s = vehicle.brake_delay_s + vehicle.brake_rise_s
     gained_mps = speed_mps + vehicle.drive_mps2 * (waits_s + vehicle.brake_delay_s)
     return waits_s + acts_s + min(gained_mps, vehicle.max_speed_mps) / (0.9 * settings.friction * GRAVITY_MPS2)
@@ -248,7 +250,13 @@ def upset(rig: Rig, rng: np.random.Generator) -> Upset:
     return Upset(role, action, speed, stopped_s, stated_s, recovered)
 
 
-_CHOICES = (("camera", "kill"), ("camera", "freeze"), ("perception", "kill"), ("perception", "freeze"), ("car", "freeze"))
+_CHOICES = (
+    ("camera", "kill"),
+    ("camera", "freeze"),
+    ("perception", "kill"),
+    ("perception", "freeze"),
+    ("car", "freeze"),
+)
 
 
 def drive_in_real_time(
@@ -319,7 +327,9 @@ def _latencies(
         "processing_ms": _quantiles(took),
         "photon_to_decision_ms": _quantiles(light),
         "photon_to_decision_histogram": {"edges_ms": edges.tolist(), "frames": counts.tolist()},
-        "photon_to_brake_ms": None if math.isnan(bites_s) or cause is None else round(1e3 * (bites_s - cause["exposed_s"]), 1),
+        "photon_to_brake_ms": None
+        if math.isnan(bites_s) or cause is None
+        else round(1e3 * (bites_s - cause["exposed_s"]), 1),
     }
 
 
@@ -340,11 +350,19 @@ def describe(result: dict[str, Any]) -> str:
     if result["photon_to_brake_ms"] is not None:
         lines.append(f"brake      {result['photon_to_brake_ms']:.0f} ms after the light of the image that demanded it")
     gap = "nothing near" if result["least_gap_m"] is None else f"least gap {result['least_gap_m']:.2f} m"
-    lines.append(f"way        up to {result['top_speed_mps']:.2f} m/s, {gap}{', COLLISION' if result['collision'] else ''}")
+    lines.append(
+        f"way        up to {result['top_speed_mps']:.2f} m/s, {gap}{', COLLISION' if result['collision'] else ''}"
+    )
     for each in result["events"]:
         because = f": {each['reason']}" if each["reason"] else ""
-        lines.append(f"           {each['time_s']:.2f} s {each['who']} {each['mode'].lower().replace('_', ' ')}{because}")
+        lines.append(
+            f"           {each['time_s']:.2f} s {each['who']} {each['mode'].lower().replace('_', ' ')}{because}"
+        )
     for each in result["upsets"]:
-        stop = f"stopped from {each['speed_mps']:.2f} m/s in {each['stopped_s']:.2f} s (stated {each['stated_s']:.2f} s)"
-        lines.append(f"upset      {each['role']} {each['action']}: {stop}, {'recovered' if each['recovered'] else 'LOST'}")
+        stop = (
+            f"stopped from {each['speed_mps']:.2f} m/s in {each['stopped_s']:.2f} s (stated {each['stated_s']:.2f} s)"
+        )
+        lines.append(
+            f"upset      {each['role']} {each['action']}: {stop}, {'recovered' if each['recovered'] else 'LOST'}"
+        )
     return "\n".join(lines)

@@ -98,7 +98,9 @@ def camera(job: Job) -> None:
             for text in _arrived(poses):
                 at = text["time_s"], Pose(*text["pose"])
 
-            def own(scene_s: float, at: tuple[float, Pose] = at, offset_s: float = middle_s - job.scene_s(middle_s)) -> Pose:
+            def own(
+                scene_s: float, at: tuple[float, Pose] = at, offset_s: float = middle_s - job.scene_s(middle_s)
+            ) -> Pose:
                 return _moved_on(*at, scene_s + offset_s)
 
             scene_s, seeds = job.scene_s(middle_s), [job.seed, max(k, 0)]
