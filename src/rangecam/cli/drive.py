@@ -62,7 +62,7 @@ def drive(
     duration: Annotated[float, Parameter(help="Of a drive in real time: at most so many seconds.")] = 10.0,
     upsets: Annotated[
         int,
-        Parameter(help="Of a drive in real time: kill or freeze a process so often afterwards, and see all recover."),
+        Parameter(help="Of a drive in real time: kill or freeze a process so often, and see all recover."),
     ] = 0,
     json: Json = False,
 ) -> None:

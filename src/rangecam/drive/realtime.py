@@ -209,8 +209,8 @@ def _free_port() -> int:
 def stated_stop_s(speed_mps: float, config: Config, settings: DriveSettings) -> float:
     """Return within what time the car stands after camera or perception have ceased, or the car's unit goes on.
 
-    The timeout of images (or of the car's state) runs out, two looks and the way over the bus pass, the brakes begin and
-    rise, and friction does the rest, with the speed that the car may have gained until then.
+    The timeout of images (or of the car's state) runs out, two looks and the way over the bus pass, the brakes begin
+    and rise, and friction does the rest, with the speed that the car may have gained until then.
     """
     vehicle, machine = settings.vehicle, brake_settings(config, replace(settings, result_after_frames=1e-9)).machine
     waits_s = (
@@ -312,7 +312,7 @@ def _outcome(scenario: Scenario, settings: DriveSettings, cars: list[dict[str, A
 def _latencies(
     config: Config, settings: DriveSettings, cars: list[dict[str, Any]], frames: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return processing times beside their deadline, one frame period, and the time from light to decision and brake."""
+    """Return processing times beside their deadline, a frame period, and the times from light to decision and brake."""
     period_ms = 1e3 / config.camera.frame_rate_hz
     took = np.array([1e3 * (f["done_s"] - f["arrived_s"]) for f in frames])
     light = np.array([1e3 * (f["done_s"] - f["exposed_s"]) for f in frames])

@@ -2,8 +2,8 @@
 
     camera --UDP stream--> perception --CAN--> car --pose, by UDP--> camera
 
-What a role needs is in a `Job`; it runs until `over` is set, and may be killed or frozen at any moment. Everybody counts
-seconds on one monotonic clock from `epoch_s` on. Until `go_s` the driver waits at the start and the scene stands still.
+What a role needs is in a `Job`; it runs until `over` is set, and may be killed or frozen at any moment. Everybody
+counts seconds on one monotonic clock from `epoch_s` on. Until `go_s` the driver waits at the start and the scene stands still.
 """
 
 import json
@@ -54,8 +54,10 @@ _BRAKED = Hand(-1.0)
 
 @dataclass(frozen=True)
 class Job:
-    """What all roles share. Ports are on this machine: of the stream, of poses for the camera, of reports; `channel` is
-    that of the bus. over and go_s are shared memory: not 0 when all is over; when the driver starts, inf before.
+    """What all roles share.
+
+    Ports are on this machine: of the stream, of poses for the camera, of reports; `channel` is that of the bus. over and
+    go_s are shared memory: not 0 when all is over; when the driver starts, inf before.
     """
 
     scenario: Scenario
@@ -82,7 +84,7 @@ class Job:
 
 
 def camera(job: Job) -> None:
-    """Take an image each frame period from where the car is, and stream it when it is read out; late ones are left out."""
+    """Take an image each frame period from where the car is, and stream it when it is read out; skip late ones."""
     config, period_s = job.config, 1 / job.config.camera.frame_rate_hz
     bundle = ray_bundle(
         config.camera.lens, config.mounting, (config.camera.rows, config.camera.columns), job.scenario.subpixels
