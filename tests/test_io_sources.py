@@ -157,7 +157,8 @@ BAD = {
     "empty.npz": (DataError, "empty"),
     "empty.mcap": (DataError, "empty"),
     "film.mp4": (UsageError, "scenario:NAME"),
-    "udp://127.0.0.1:5000": (UsageError, "nobody knows"),
+    "tcp://127.0.0.1:5000": (UsageError, "nobody knows"),
+    "udp://127.0.0.1": (UsageError, "udp://HOST:PORT"),
     "scenario:test-scen": (UsageError, "did you mean 'test-scene'"),
     "scenaro:test-scene": (UsageError, "scenario:NAME"),
     "": (UsageError, "scenario:NAME"),
@@ -190,7 +191,7 @@ def test_suffixes_may_be_written_in_capitals(raw: Path) -> None:
 
 
 def test_every_opener_is_reached_by_a_url() -> None:
-    assert set(SCHEMES) == {"scenario"}
+    assert set(SCHEMES) == {"scenario", "udp"}
     assert set(SUFFIXES) == {".npz", ".mcap"}
 
 

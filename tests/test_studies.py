@@ -100,6 +100,8 @@ DIFFERING = {
     "pulsed-gating": ["N-K-076"],
     "eye-safety": ["N-K-044", "N-K-045", "N-K-045"],
     "emulation": ["N-S-018"],
+    "embedded-schedule": ["N-S-046"],
+    "embedded-memory": ["N-S-033"],
     "tracking-tuning": ["N-K-086"],
 }
 

@@ -171,6 +171,7 @@ def describe(result: dict[str, Any]) -> str:
         *(_first(brakes, 5) or ["brake      never"]),
         *_describe_honesty(result["nis"]),
         *_describe_quality(result.get("quality")),
+        *_describe_received(result.get("received")),
     ]
     if "sum" in result["latency_ms"]:
         total = result["latency_ms"]["sum"]
@@ -205,6 +206,17 @@ def _describe_quality(quality: dict[str, Any] | None) -> list[str]:
     errors = f"{quality['rmse_position_m']:.3f} m, {quality['rmse_velocity_mps']:.3f} m/s"
     scores = f"MOTA {quality['clear']['mota']:.2f}, HOTA {quality['hota']['hota']:.2f}"
     return [f"truth      RMS error {errors}; {scores}"]
+
+
+def _describe_received(counts: dict[str, int] | None) -> list[str]:
+    """Return what came of a stream and what of it was lost, if it was one."""
+    if counts is None:
+        return []
+    lost = {name: counts[name] for name in ("incomplete", "skipped", "unreadable")}
+    said = ", ".join(f"{number} {name}" for name, number in lost.items() if number) or "none lost"
+    strangers = f"; {counts['unexpected']} packets of no frame" if counts["unexpected"] else ""
+    missing = f" ({counts['missing']} packets missing)" if counts["missing"] else ""
+    return [f"stream     {count(counts['frames'], 'complete frame')}, {said}{missing}{strangers}"]
 
 
 def _first(lines: list[str], most: int) -> list[str]:

@@ -14,7 +14,19 @@ from rangecam.cli.app import app
 from rangecam.errors import RangecamError
 
 COMMANDS = (
-    "demo", "run", "simulate", "drive", "calibrate", "design", "study", "tune", "train", "bench", "can", "embedded", "repair",
+    "demo",
+    "run",
+    "simulate",
+    "drive",
+    "calibrate",
+    "design",
+    "study",
+    "tune",
+    "train",
+    "bench",
+    "can",
+    "embedded",
+    "repair",
 )
 """Modules of this package, one a command; importing one registers it."""
 

@@ -42,3 +42,13 @@ Images = Annotated[
 ]
 TracksFile = Annotated[Path | None, Parameter(help="Write a row for each confirmed track and frame (.csv).")]
 Seed = Annotated[int, Parameter(help="Seed of the simulated noise.")]
+StreamTo = Annotated[
+    str | None, Parameter(name="--stream", help="Send every frame to udp://HOST:PORT, where `rangecam run` takes it.")
+]
+StreamMode = Annotated[
+    str, Parameter(help="What is sent: raw samples, real_imaginary, range (of `run` only), or none but words.")
+]
+LinkMbit = Annotated[float, Parameter(help="Mbit/s of the network that packets may fill; 0: as fast as can be.")]
+RealTime = Annotated[
+    bool, Parameter(negative=(), show_default=False, help="Take frames when their time has come, as from a camera.")
+]

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from rangecam.cli.app import ConfigFile, Json, Preset, Record, ReportFile, Seed, Set, app
 from rangecam.cli.running import progress
 from rangecam.cli.tune import Scheduler
-from rangecam.errors import UsageError
+from rangecam.errors import DataError, UsageError
 
 Faults = Annotated[
     list[str],
@@ -49,6 +49,19 @@ def drive(
         Path | None, Parameter(help="Of a campaign: where its rows are kept; it goes on there if it was cut off.")
     ] = None,
     keep: Annotated[int | None, Parameter(help="Of a campaign: record so many failed drives; otherwise 20.")] = None,
+    real_time: Annotated[
+        bool,
+        Parameter(
+            negative=(),
+            show_default=False,
+            help="Of a single drive: camera, perception and car as processes, connected by UDP and CAN, in real time.",
+        ),
+    ] = False,
+    duration: Annotated[float, Parameter(help="Of a drive in real time: at most so many seconds.")] = 10.0,
+    upsets: Annotated[
+        int,
+        Parameter(help="Of a drive in real time: kill or freeze a process so often, and see all recover."),
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Drive NAME in closed loop: a scenario, or a campaign (scaled-car, full-size, false-positives).
@@ -62,6 +75,10 @@ def drive(
     options = {"--runs": runs, "--folder": folder, "--keep": keep, "--scheduler": scheduler, "--number": number}
     if name not in CAMPAIGNS:
         _refuse(name, {**options, "--jobs": None if jobs == 1 else jobs}, "is for a campaign")
+        if real_time:
+            _refuse(name, {"--record": record, "--report": report, "--fault": fault or None}, "is not for real time")
+            _in_real_time(name, preset, layers, seed, duration, upsets, json)
+            return
         _single(name, preset, layers, fault, seed, record, report, json)
         return
     _refuse(name, {"--fault": fault or None, "--preset": preset}, "is for a scenario; the campaign draws its own")
@@ -76,6 +93,26 @@ def drive(
         name, layers, seed, place, _RUNS if runs is None else runs, _KEPT if keep is None else keep, jobs, scheduler
     )
     print(json_format.dumps(result["json"], allow_nan=False) if json else result["text"])
+
+
+def _in_real_time(
+    name: str,
+    preset: str | None,
+    layers: Sequence[Mapping[str, Any]],
+    seed: int,
+    duration_s: float,
+    upsets: int,
+    json: bool,
+) -> None:
+    from rangecam.drive.opening import opened
+    from rangecam.drive.realtime import describe, drive_in_real_time
+
+    if not duration_s > 0 or upsets < 0:
+        raise UsageError("expected --duration above zero and --upsets of at least 0")
+    result = drive_in_real_time(*opened(name, preset, layers), seed, duration_s, upsets)
+    print(json_format.dumps(result) if json else describe(result))
+    if result["collision"] or any(not u["recovered"] or u["stopped_s"] > u["stated_s"] for u in result["upsets"]):
+        raise DataError(f"{name}: the car did not stop as stated, or not all recovered")
 
 
 def _refuse(name: str, options: Mapping[str, Any], why: str) -> None:

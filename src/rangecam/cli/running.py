@@ -1,5 +1,6 @@
 """What commands share: opening sources and outputs, progress, the message while kernels are compiled."""
 
+import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -37,6 +38,34 @@ def open_sinks(stack: ExitStack, opened: "Source", targets: dict[str, Path | Non
     for name, path in targets.items():
         if path is not None:
             yield stack.enter_context(makers[name](path, opened.config, opened.name))
+
+
+def open_stream(stack: ExitStack, url: str | None, config: Any, mode: str, link_mbit: float) -> Iterator[Any]:
+    """Open the stream that was asked for, if any."""
+    if url is not None:
+        from rangecam.io.udp import Stream
+
+        yield stack.enter_context(Stream(url, config, mode, link_mbit=link_mbit))
+
+
+@contextmanager
+def ends_on_interrupt(opened: "Source") -> Iterator[None]:
+    """Let Ctrl-C end the captures of a live source, so that what was made of them is kept; a second one interrupts."""
+    live = opened.live
+    if live is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        live.stop()
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        live.stop()
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -2,10 +2,20 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from rangecam.config import Config
 from rangecam.types import Capture
+
+
+class Live(Protocol):
+    """What goes on while the captures of a live source are used."""
+
+    def stop(self) -> None:
+        """End the captures after those that have come; may be called from a signal handler."""
+
+    def counts(self) -> dict[str, int]:
+        """Return how many frames and packets came, and what was lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +26,7 @@ class Content:
     preset: the one to decode it with unless another is asked for. settings: complete ones that came with the source
     and are used instead of the preset's. facts: settings that the source itself states; they win over any preset.
     captures, n_frames: its frames under a configuration, and how many (None: not known).
-    notes: what people should know about it.
+    notes: what people should know about it. live: what it is received by, None for what is already there.
     """
 
     what: str
@@ -27,6 +37,7 @@ class Content:
     settings: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    live: Live | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +55,7 @@ class Source:
     """An opened source: captures, and the configuration that they are to be processed with.
 
     name: the URL it was opened by. n_frames: None where nobody knows. notes: what people should know about it.
+    live: what it is received by, None for what is already there.
     """
 
     name: str
@@ -51,3 +63,4 @@ class Source:
     captures: Captures
     n_frames: int | None = None
     notes: tuple[str, ...] = ()
+    live: Live | None = None

@@ -13,6 +13,7 @@ from rangecam.errors import DataError, UsageError
 from rangecam.io import npz, recording
 from rangecam.io.content import Captures, Content, Source
 from rangecam.io.files import check_source
+from rangecam.io.udp.source import open_udp
 from rangecam.pulsed import warnings_of
 from rangecam.types import Capture
 
@@ -29,7 +30,7 @@ def open_source(
     layers: Sequence[Mapping[str, Any]] = (),
     seed: int = 0,
 ) -> Source:
-    """Open `scenario:NAME`, a recording (.mcap) or a NumPy file (.npz).
+    """Open `scenario:NAME`, a recording (.mcap), a NumPy file (.npz) or a stream `udp://HOST:PORT`.
 
     Its settings, the last winning: those of `preset` (else of a preset named in `layers`, else those recorded with the
     source or of the preset that it suggests); facts that it states itself, such as its modulation frequency; those that
@@ -42,6 +43,18 @@ def open_source(
         raise UsageError("give either a ready configuration or a preset and layers of settings, not both")
     name = str(url)
     content = _open(name, seed)
+    try:
+        return _opened(name, content, config, preset, layers)
+    except BaseException:
+        if content.live is not None:
+            content.live.stop()
+        raise
+
+
+def _opened(
+    name: str, content: Content, config: Config | None, preset: str | None, layers: Sequence[Mapping[str, Any]]
+) -> Source:
+    """Return the source with the settings that it is to be processed with, and its captures with their calibration."""
     if config is None:
         base, *settings = _layers(name, content, preset, layers)
         calibration = _calibration(content, merge(preset_tree(base) if base else {}, *settings))
@@ -57,7 +70,7 @@ def open_source(
         path = config.camera.calibration
         captures = _calibrated(content, captures, path, calibration, config)
         notes = (*notes, *_advice(content, path, calibration, config))
-    return Source(name, config, captures, content.n_frames(config), notes)
+    return Source(name, config, captures, content.n_frames(config), notes, content.live)
 
 
 def _recorded(content: Content) -> str:
@@ -126,7 +139,9 @@ def _open(name: str, seed: int) -> Content:
     suffix = Path(name).suffix.lower()
     if "://" in name or suffix not in SUFFIXES:
         files = " or ".join(SUFFIXES)
-        raise UsageError(f"{name}: nobody knows how to open this; a source is scenario:NAME or a file ({files})")
+        raise UsageError(
+            f"{name}: nobody knows how to open this; a source is scenario:NAME, udp://HOST:PORT or a file ({files})"
+        )
     path = check_source(name)
     if path.stat().st_size == 0:
         raise DataError(f"{name}: the file is empty")
@@ -190,7 +205,7 @@ def _open_scenario(name: str, seed: int) -> Content:
     )
 
 
-SCHEMES: dict[str, Callable[[str, int], Content]] = {"scenario": _open_scenario}
+SCHEMES: dict[str, Callable[[str, int], Content]] = {"scenario": _open_scenario, "udp": open_udp}
 """Openers by the scheme of a URL: (the rest of it, seed) -> Content."""
 SUFFIXES: dict[str, Callable[[Path], Content]] = {".npz": npz.open_npz, ".mcap": recording.open_recording}
 """Openers by the suffix of a file."""

@@ -17,6 +17,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - cw_scattering, cw_motion, cw_flying, cw_hdr, cw_multipath: and what its correction leaves; plates: scenes
 - cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
+- embedded: processing units, memories and debug stream of the microcontroller
 - filters: the filters of cleaning side by side
 - unwrapping: several modulation frequencies, their errors and what the phasor filter saves
 """
@@ -37,6 +38,7 @@ from rangecam.studies.cw_imperfections import cw_imperfections
 from rangecam.studies.cw_motion import cw_motion
 from rangecam.studies.cw_multipath import cw_multipath
 from rangecam.studies.cw_scattering import cw_scattering
+from rangecam.studies.embedded import embedded_memory, embedded_schedule
 from rangecam.studies.emulation import emulation
 from rangecam.studies.eye_safety import eye_safety
 from rangecam.studies.figure import draw
@@ -94,6 +96,8 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "cw-multipath": cw_multipath,
     "arctangents": arctangents,
     "emulation": emulation,
+    "embedded-schedule": embedded_schedule,
+    "embedded-memory": embedded_memory,
     "filters": filters,
     "cw-unwrapping": unwrapping,
 }
