@@ -56,7 +56,7 @@ def clean_in_one_pass(
     planes: range, sigma and amplitude; limits (7, H, W) float32: see `WEAKEST` and so on. At most `WIDEST` columns.
     """
     images, reason = np.empty((2, *why.shape), np.float32), np.empty(why.shape, np.uint8)
-    _clean(planes, why, limits, _rules(settings), images, reason)
+    _clean(*planes, why, limits, _rules(settings), images, reason)  # a tuple would take longer to be handed over
     return images[0], images[1], reason
 
 
@@ -68,12 +68,15 @@ def _rules(settings: CleanSettings) -> Floats:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _clean(planes: Any, why: Ints, limits: Floats, rules: Floats, images: Floats, reason: Ints) -> None:
+def _clean(
+    range_m: Floats, sigma_m: Floats, amplitude: Floats, why: Ints, limits: Floats, rules: Floats, images: Floats,
+    reason: Ints,
+) -> None:  # fmt: skip
     """Let row after row come, judge the row before it, and filter and cut the one before that.
 
     Medians take the place of what came: nobody asks for it any more by then.
     """
-    height, width = why.shape
+    (height, width), planes = why.shape, (range_m, sigma_m, amplitude)
     work = np.empty(_PLANES * _SLOTS * _PITCH, np.float32)
     rows = work.reshape((_PLANES, _SLOTS, _PITCH))
     codes, flags = np.empty((_SLOTS, width), np.int32), np.zeros((_SLOTS, (width + 7) // 8 * 8 + 16), np.uint8)
@@ -193,7 +196,7 @@ def _count(work: Floats, slot: int, begin: int, end: int, number: Ints) -> None:
     """Count the common neighbours of each pixel."""
     start = _U((slot - 1) * _PITCH + RIM - 1 + begin)
     for i in range(_U(end - begin)):
-        a = start + i
+        a = start + _U(i)
         b = a + _ROW
         c = b + _ROW
         value, reach = work[_C + b + _1], work[_T + b + _1]
@@ -250,7 +253,7 @@ def _sort_blocks(words: Any, slot: int, first: int, stop: int, whole: bool, kind
 def _plain_median(work: Floats, start: Any, number: Any) -> None:
     """Take the median of nine pixels that all take part."""
     for i in range(number):
-        a = start + i
+        a = start + _U(i)
         b = a + _ROW
         c = b + _ROW
         v0, v1, v2 = work[_K + a], work[_K + a + _1], work[_K + a + _2]
@@ -270,7 +273,7 @@ def _plain_median(work: Floats, start: Any, number: Any) -> None:
 def _median(work: Floats, start: Any, number: Any, in_row: Any, off_row: Any) -> None:
     """Take the median of the pairs of common neighbours; a pair that takes no part is -huge and +huge (`median`)."""
     for i in range(number):
-        a = start + i
+        a = start + _U(i)
         b = a + _ROW
         c = b + _ROW
         v0, v1, v2 = work[_K + a], work[_K + a + _1], work[_K + a + _2]

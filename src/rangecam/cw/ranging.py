@@ -44,7 +44,8 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     planes = _samples(raw, PLANES)
     shape = planes[0].shape
     images, why = np.empty((3, *shape), np.float32), np.empty(shape, np.uint8)
-    _four_phase(planes, _sample_limits(camera, planes[0].dtype), _kernel_settings(camera), images, why)
+    limits, settings = _sample_limits(camera, planes[0].dtype), _kernel_settings(camera)
+    _four_phase(*planes, limits, settings, images, why)  # a tuple would take longer to be handed over
     if camera.pseudo_rows:
         why[: camera.pseudo_rows] = _SENSOR_FLAG
     return RangeImage(raw.time_s, images[0], images[1], images[2], why)
@@ -115,13 +116,15 @@ _UINT16, _FLOAT32 = np.dtype(np.uint16), np.dtype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _four_phase(planes: Any, limits: Any, settings: Any, images: Any, why: Any) -> None:
+def _four_phase(
+    c0: Any, c90: Any, c180: Any, c270: Any, limits: Any, settings: Any, images: Any, why: Any
+) -> None:  # fmt: skip
     """Fill range, sigma and amplitude (3, H, W), and why.
 
     Everything is a choice between two values, so that the loops become vector instructions; limits are judged apart,
     because of samples in whole numbers twice as many fit into one.
     """
-    c0, c90, c180, c270 = planes[0].reshape(-1), planes[1].reshape(-1), planes[2].reshape(-1), planes[3].reshape(-1)
+    c0, c90, c180, c270 = c0.reshape(-1), c90.reshape(-1), c180.reshape(-1), c270.reshape(-1)
     range_m, sigma_m, amplitude, why = (
         images[0].reshape(-1),
         images[1].reshape(-1),
