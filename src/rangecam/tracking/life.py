@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rangecam.tracking.filter import GONE, Seen, complete, left_over
 from rangecam.tracking.settings import TrackingSettings
+from rangecam.tracking.shape import first_memory, shapes
 from rangecam.types import CLASSES, Ints, Tracks, TrackStatus
 
 
@@ -22,7 +24,7 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
 
     took (N',): index of the segment of each track before any ended.
     """
-    label, position, covariance, size, near, n_pixels = seen
+    label, position, covariance, size, near, n_pixels = seen[:6]
     R, first = np.empty_like(covariance), np.empty_like(label)
     complete(covariance, size, settings.position_sigma_m**2, settings.extent_sigma**2, R)
     first = first[: left_over(took, position, R, first)]
@@ -53,10 +55,10 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
         mode_probability=np.full((n, count), 1 / max(count, 1)),
         mode_state=np.repeat(state[:, None], count, axis=1),
         mode_covariance=np.repeat(P[:, None], count, axis=1),
-        time_s=tracks.time_s,
-        next_id=tracks.next_id + n,
+        memory=first_memory(shapes(seen)[first], settings.shape_sigma),
     )
-    return _map(lambda born, lived: np.concatenate((lived, born)), new, tracks)
+    together = _map(lambda lived, born: np.concatenate((lived, born)), tracks, new)
+    return replace(together, next_id=tracks.next_id + n)
 
 
 def _map(function: Callable[..., Any], tracks: Tracks, *others: Tracks) -> Tracks:
