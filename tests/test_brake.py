@@ -335,6 +335,8 @@ def test_the_velocity_of_a_track_of_one_frame_cannot_brake(confirm_hits: int) ->
         range_m=position[:, 0],
         sigma_range_m=np.array([0.01]),
         amplitude=np.ones(1),
+        cut=np.zeros(1, np.uint8),
+        nearest_m=position - [0.2, 0.0, 0.0],
     )
     tracks = update_tracks(Tracks.empty(), segments, 0.0, TrackingSettings(confirm_hits=confirm_hits))
     assert not decide(tracks, Ego(), MODEL_CAR).brake

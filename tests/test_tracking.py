@@ -41,6 +41,8 @@ def seen(positions: object, covariance: object = 0.01, **fields: object) -> Segm
         "range_m": z[:, 0],
         "sigma_range_m": np.full(n, 0.1),
         "amplitude": np.ones(n),
+        "cut": np.zeros(n, np.uint8),
+        "nearest_m": z - [0.2, 0.0, 0.0],
     }
     return Segments(**{**whole, **fields})  # type: ignore[arg-type]
 

@@ -58,6 +58,8 @@ def segments(position_m: Any, size_m: float = 0.0) -> Segments:
         range_m=zero,
         sigma_range_m=zero,
         amplitude=zero,
+        cut=np.zeros(n, np.uint8),
+        nearest_m=place,
     )
 
 

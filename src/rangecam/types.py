@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from typing import Any
 
 import numpy as np
@@ -129,6 +129,21 @@ class Rows:
         return len(next(iter(vars(self).values())))
 
 
+class Cut(IntFlag):
+    """What cuts a segment short, so that its extent is more than what is seen of it; bits, zero for nothing."""
+
+    LEFT = 1
+    """Touches the left edge of the image, ..."""
+    RIGHT = 2
+    """... the right one, ..."""
+    TOP = 4
+    """... the upper one, ..."""
+    BOTTOM = 8
+    """... the lower one."""
+    OCCLUDED = 16
+    """Something nearer hides a part of it."""
+
+
 @value
 class Segment:
     """One connected object of one image: row i of `Segments`, same fields."""
@@ -143,6 +158,8 @@ class Segment:
     range_m: float
     sigma_range_m: float
     amplitude: float
+    cut: int
+    nearest_m: Floats
 
 
 @value
@@ -154,6 +171,8 @@ class Segments(Rows):
     size_m (N, 3): extent of the points along x, y, z. near_m (N,): smallest x of the segment, robustly.
     n_pixels (N,) int. box (N, 4) int: first row, first column, last row + 1, last column + 1.
     range_m, sigma_range_m, amplitude (N,): mean over the pixels, standard deviation of that mean range, mean.
+    cut (N,) uint8: bits of `Cut`. nearest_m (N, 3): the nearest point of its surface: near_m, and the mean y and z of
+        the pixels that are nearer.
     """
 
     label: Ints
@@ -166,6 +185,8 @@ class Segments(Rows):
     range_m: Floats
     sigma_range_m: Floats
     amplitude: Floats
+    cut: NDArray[np.uint8]
+    nearest_m: Floats
 
     def __getitem__(self, i: int) -> Segment:
         return Segment(
@@ -179,6 +200,8 @@ class Segments(Rows):
             float(self.range_m[i]),
             float(self.sigma_range_m[i]),
             float(self.amplitude[i]),
+            int(self.cut[i]),
+            self.nearest_m[i],
         )
 
     def __iter__(self) -> Iterator[Segment]:

@@ -193,6 +193,8 @@ def _twenty_segments() -> Segments:
         range_m=np.linalg.norm(place, axis=1),
         sigma_range_m=np.full(n, 0.1),
         amplitude=np.full(n, 100.0),
+        cut=np.zeros(n, np.uint8),
+        nearest_m=place - [0.15, 0.0, 0.0],
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from rangecam.geometry import Lens, Mounting, pixel_pitch, point_covariance, position, rotation
+from rangecam.segmentation.outline import cut_short
 from rangecam.segmentation.settings import SegmentSettings
 from rangecam.types import Floats, Ints, RangeImage, Segments
 
@@ -21,25 +22,30 @@ def measure_segments(
     covariance holds the noise of the mean range, a part that no number of pixels makes smaller, and the uncertainty of
     the image position (König 2008, 6.4.3.3, E-K-22). Sizes come from the spread of the points: n pixels in a row have a
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
+    Of a segment that is `cut` short they are those of the part that is seen.
     """
+    labels, why = np.ascontiguousarray(labels), np.ascontiguousarray(image.why)
     count, shape = _number(labels), image.shape
     range_m, sigma_m = np.ascontiguousarray(image.range_m, np.float32), np.ascontiguousarray(image.sigma_m, np.float32)
     planes = range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32)
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
-    means, n_pixels, box = np.empty((3, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
+    means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
+    nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
     known = _known(lens, mounting, shape, settings)
-    _measure(labels, points, *planes, known, position_m, size_m, sigmas, means, n_pixels, box)
+    _measure(labels, np.ascontiguousarray(points), *planes, why, known, position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
         covariance_m2=point_covariance(position_m, sigmas, lens, mounting, shape),
         size_m=size_m,
-        near_m=means[2],
+        near_m=nearest_m[:, 0],
         n_pixels=n_pixels,
         box=box,
         range_m=means[0],
         sigma_range_m=sigmas[:, 2],
         amplitude=means[1],
+        cut=cut,
+        nearest_m=nearest_m,
     )
 
 
@@ -56,6 +62,7 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
             *noise,
             lens.projection == "perspective",
             settings.near_fraction,
+            *(settings.occluder_step_m, settings.occluder_sigmas, settings.occluder_fraction),
         ],
         float,
     )
@@ -77,6 +84,7 @@ def _measure(
     range_m: Any,
     sigma_m: Any,
     amplitude: Any,
+    why: Any,
     known: Any,
     position_m: Any,
     size_m: Any,
@@ -84,11 +92,14 @@ def _measure(
     means: Any,
     n_pixels: Any,
     box: Any,
+    nearest_m: Any,
+    cut: Any,
 ) -> Any:
-    """Fill the six last arrays; means: range, amplitude and nearest x."""
+    """Fill the eight last arrays; means: range and amplitude."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
-    _nearest(labels, points, sums, bounds, box, known[19], means[2])
+    _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
+    cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
     _evaluate(sums, bounds, box, known, position_m, size_m, sigmas, means, n_pixels)
 
 
@@ -142,10 +153,13 @@ def _any(labels: Ints, row: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _nearest(labels: Any, points: Any, sums: Any, bounds: Any, box: Any, fraction: Any, near_m: Any) -> Any:
-    """Find the x of each segment than which only a fraction of its pixels is nearer, by a histogram of x."""
+def _nearest(labels: Any, points: Any, sums: Any, bounds: Any, box: Any, fraction: Any, nearest_m: Any) -> Any:
+    """Find the nearest point of each segment.
+
+    Its x by a histogram, so that only a fraction of the pixels is nearer; y and z are the mean of these pixels.
+    """
     counts = np.empty(_NEAR_BINS, np.int32)
-    for k in range(len(near_m)):
+    for k in range(len(nearest_m)):
         low, width = bounds[k, 0], bounds[k, 3] - bounds[k, 0]
         per_metre = np.float32((_NEAR_BINS - 0.01) / width if width > 0 else 0.0)
         counts[:] = 0
@@ -158,7 +172,13 @@ def _nearest(labels: Any, points: Any, sums: Any, bounds: Any, box: Any, fractio
             before += counts[place]
             place += 1
         within = (wanted - before) / counts[place]
-        near_m[k] = low + ((place + within) / per_metre if per_metre > 0 else 0.0)
+        near = low + np.float32((place + within) / per_metre if per_metre > 0 else 0.0)
+        y, z, number = 0.0, 0.0, 0
+        for row in range(box[k, 0], box[k, 2]):
+            for column in range(box[k, 1], box[k, 3]):
+                if points[row, column, 0] <= near and labels[row, column] == k + 1:
+                    y, z, number = y + points[row, column, 1], z + points[row, column, 2], number + 1
+        nearest_m[k, 0], nearest_m[k, 1], nearest_m[k, 2] = near, y / number, z / number
 
 
 _NEAR_BINS = 32

@@ -47,3 +47,9 @@ class SegmentSettings:
     """Over how many pixels the noise is the same; 1: independent. Unless it is set, what the filter of `clean` says."""
     near_fraction: Annotated[float, Interval(gt=0, le=0.5)] = 0.05
     """Part of a segment's pixels that may lie nearer than its nearest distance."""
+    occluder_step_m: NonNegative = 0.2
+    """Something hides a part of a segment if it is nearer at the segment's outline by more than this, ..."""
+    occluder_sigmas: NonNegative = 3.0
+    """... plus so many standard deviations of the difference of range, ..."""
+    occluder_fraction: Fraction = 0.05
+    """... along more than this part of the outline, and at more than one of its pixels."""

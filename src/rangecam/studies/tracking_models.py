@@ -140,6 +140,8 @@ def side_by_side(position_m: Floats, covariance_m2: Floats) -> Segments:
         range_m=np.zeros(n),
         sigma_range_m=np.zeros(n),
         amplitude=np.ones(n),
+        cut=np.zeros(n, np.uint8),
+        nearest_m=position_m,
     )
 
 

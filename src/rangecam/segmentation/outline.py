@@ -1,0 +1,71 @@
+"""What cuts a segment short: the edge of the image, or something nearer in front of it."""
+
+import math
+from typing import Any
+
+from numba import njit
+
+from rangecam.types import Cut, Why
+
+@njit(cache=True, nogil=True)
+def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limits: Any, cut: Any) -> None:
+    """Write the bits of `Cut` of each segment: (N,) uint8; a kernel.
+
+    planes: range, sigma, why (H, W); box (N, 4) of each segment, bounds (N, 6) of its points; limits: height of the
+    camera (m), what `SegmentSettings.occluder_*` say. The outline of a segment is the first and last of its pixels in
+    each row and each column of its box. It touches an edge of the image where nothing, or only the discarded border,
+    lies beyond it. It is occluded where the first pixel beyond it that has a range (of at most three: flying pixels lie
+    between) is nearer by more than a step and the noise; the part of the outline for which this holds must be more than
+    a few stray pixels. The floor in front of an object is nearer too: a point below the lowest of the segment, on a ray
+    that goes down, is no occluder.
+    """
+    height, width = labels.shape
+    flat, z, why = labels.reshape(-1), points.reshape(-1)[2::3], planes[2].reshape(-1)
+    ranges = planes[0].reshape(-1), planes[1].reshape(-1)
+    for k in range(len(box)):
+        outline, occluded, bits = 0, 0, 0
+        for side in range(4):  # left, right, top, bottom: the bits of Cut in their order
+            across, from_end = side < 2, side % 2 == 1
+            first, lines = (box[k, 0], box[k, 2] - box[k, 0]) if across else (box[k, 1], box[k, 3] - box[k, 1])
+            start, depth = (box[k, 1], box[k, 3] - box[k, 1]) if across else (box[k, 0], box[k, 2] - box[k, 0])
+            size, line_step, step = (width, width, 1) if across else (height, 1, width)
+            start = start + depth - 1 if from_end else start
+            room = size - 1 - start if from_end else start  # pixels between the box and the edge of the image
+            inward = -step if from_end else step
+            for line in range(first, first + lines):
+                pixel, walked = line * line_step + start * step, 0
+                while walked < depth and flat[pixel] != k + 1:
+                    pixel, walked = pixel + inward, walked + 1
+                if walked < depth:
+                    outline += 1
+                    if room + walked == 0 or why[pixel - inward] == _BORDER:
+                        bits |= 1 << side
+                    else:
+                        far = min(room + walked, _FAR)
+                        occluded += _hidden(flat, z, ranges, why, pixel, -inward, far, bounds[k, 2], limits)
+        cut[k] = bits | _OCCLUDED if occluded > max(1.0, limits[3] * outline) else bits
+
+
+_OCCLUDED, _BORDER, _OUTSIDE, _FLOOR = int(Cut.OCCLUDED), int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
+_FAR = 3  # pixels beyond the outline that are looked at
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _hidden(
+    flat: Any, z: Any, ranges: Any, why: Any, pixel: int, outward: int, far: int, lowest: float, limits: Any
+) -> bool:
+    """Return whether the first of `far` pixels outwards of an outermost one that has a range is an occluder."""
+    range_m, sigma_m = ranges
+    other = pixel
+    for _ in range(far):
+        other += outward
+        reason = why[other]
+        if reason == _FLOOR or reason == _BORDER:
+            return False
+        if reason == 0 or reason == _OUTSIDE:
+            difference = range_m[pixel] - range_m[other] - limits[1]
+            if not difference > 0 or flat[pixel] == flat[other]:
+                return False
+            noise = math.sqrt(sigma_m[pixel] ** 2 + sigma_m[other] ** 2)
+            return difference > limits[2] * noise and not (z[other] < lowest and z[pixel] < limits[0])
+    return False

@@ -1,0 +1,135 @@
+"""What cuts a segment short, and where its surface is nearest."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
+from rangecam.segmentation import SegmentSettings, measure_segments
+from rangecam.types import Cut, RangeImage, Why
+
+LENS = Lens(horizontal_fov_deg=50)
+SHAPE = (40, 60)
+
+
+def wall(depth_m=5.0, sigma_m=0.01):
+    range_m = (depth_m / rays(LENS, SHAPE)[..., 0]).astype(np.float32)
+    return RangeImage(0.0, range_m, np.full(SHAPE, sigma_m, np.float32), np.ones_like(range_m), np.zeros(SHAPE, "u1"))
+
+
+def segment(labels, source, mounting=Mounting(), **changes):  # noqa: B008 - frozen
+    points = to_world(source, LENS, mounting)
+    return measure_segments(labels, points, source, LENS, mounting, SegmentSettings(**changes))[0]
+
+
+def block(rows, columns):
+    labels = np.zeros(SHAPE, np.int32)
+    labels[rows, columns] = 1
+    return labels
+
+
+EDGES = {
+    Cut.LEFT: np.s_[10:20, :20],
+    Cut.RIGHT: np.s_[10:20, 40:],
+    Cut.TOP: np.s_[:20, 20:40],
+    Cut.BOTTOM: np.s_[20:, 20:40],
+}
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_segment_at_an_edge_of_the_image_is_cut_there_and_nowhere_else(edge):
+    assert segment(block(*EDGES[edge]), wall()).cut == edge
+
+
+def test_segment_amid_the_image_is_not_cut_and_one_that_fills_it_is_cut_all_around():
+    assert segment(block(slice(10, 20), slice(20, 40)), wall()).cut == 0
+    assert segment(block(slice(None), slice(None)), wall()).cut == Cut.LEFT | Cut.RIGHT | Cut.TOP | Cut.BOTTOM
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_a_border_that_is_discarded_is_the_edge_of_the_image(edge):
+    source, labels = wall(), block(*EDGES[edge])
+    for place in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
+        source.why[place], labels[place] = Why.BORDER, 0
+    assert segment(labels, source).cut == edge
+
+
+def behind(step_m, reason=Why.VALID, gap=0, sigma_m=0.01):
+    """Return a plate at 5 m whose right part stands behind something nearer by a step; gap: flying pixels between."""
+    source, labels = wall(sigma_m=sigma_m), block(slice(10, 20), slice(20, 40))
+    source.range_m[5:25, 40:50] -= step_m
+    source.why[5:25, 40:50] = reason
+    source.why[5:25, 40 : 40 + gap] = Why.FLYING
+    return labels, source
+
+
+@pytest.mark.parametrize("reason", [Why.VALID, Why.OUTSIDE_AREA])
+@pytest.mark.parametrize("gap", [0, 1, 2])
+def test_something_nearer_at_the_outline_hides_a_part_also_behind_flying_pixels(reason, gap):
+    assert segment(*behind(1.0, reason, gap)).cut == Cut.OCCLUDED
+
+
+@pytest.mark.parametrize(
+    "given", [behind(-1.0), behind(0.1), behind(1.0, gap=3), behind(1.0, Why.SATURATED), behind(1.0, sigma_m=0.5)]
+)
+def test_what_is_behind_beside_far_away_without_a_range_or_within_the_noise_hides_nothing(given):
+    assert segment(*given).cut == 0
+
+
+def test_a_stray_near_pixel_at_the_outline_hides_nothing():
+    source = wall()
+    source.range_m[15, 40] = 2.0
+    assert segment(block(slice(10, 20), slice(20, 40)), source).cut == 0
+    source.range_m[10:20, 40] = 2.0
+    assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.1).cut == Cut.OCCLUDED
+    assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.3).cut == 0
+
+
+def standing(camera_m, box_m=0.0, reason=Why.VALID):
+    """Return what a camera sees of a plate of 1.5 m that stands on the floor at 6 m, of a box at 3 m, and the plate."""
+    mounting = Mounting(z_m=camera_m, pitch_deg=10)
+    ray = rays(LENS, SHAPE) @ rotation(mounting).T
+    with np.errstate(divide="ignore"):
+        floor = np.where(ray[..., 2] < 0, -camera_m / ray[..., 2], np.inf)
+    plate, box = 6 / ray[..., 0], 3 / ray[..., 0]
+    point = camera_m + plate * ray[..., 2]
+    on_plate = (np.abs(plate * ray[..., 1]) < 0.8) & (point > 0) & (point < 1.5)
+    height = camera_m + box * ray[..., 2]
+    on_box = (np.abs(box * ray[..., 1]) < 1.5) & (height > 0) & (height < box_m)
+    range_m = np.where(on_box, box, np.where(on_plate, plate, np.minimum(floor, 50.0)))
+    ones = np.ones(SHAPE, np.float32)
+    why = np.where(on_plate | on_box, 0, reason).astype(np.uint8)
+    source = RangeImage(0.0, range_m.astype(np.float32), 0.01 * ones, ones, why)
+    return (on_plate & ~on_box).astype(np.int32), source, mounting
+
+
+@pytest.mark.parametrize("reason", [Why.VALID, Why.OUTSIDE_AREA, Why.FLOOR])
+@pytest.mark.parametrize("camera_m", [0.3, 1.2, 2.5])
+def test_the_floor_before_an_object_does_not_hide_it_but_a_box_does(camera_m, reason):
+    assert not segment(*standing(camera_m, 0.0, reason)).cut & Cut.OCCLUDED
+    assert segment(*standing(camera_m, 0.7 * camera_m, reason)).cut & Cut.OCCLUDED
+
+
+def test_the_nearest_point_of_an_oblique_wall_is_at_its_near_end():
+    mounting = Mounting(z_m=1.0)
+    ray = rays(LENS, SHAPE) @ rotation(mounting).T
+    source = wall()
+    source.range_m[:] = 4.0 / (ray[..., 0] + ray[..., 1])  # x + y = 4: nearer on the left
+    one = segment(block(slice(None), slice(None)), source, mounting, near_fraction=0.02)
+    assert one.nearest_m[0] == one.near_m
+    assert one.nearest_m[0] + one.nearest_m[1] == pytest.approx(4.0, abs=0.05)
+    assert one.nearest_m[1] > one.position_m[1] + 0.5
+    assert one.nearest_m[2] == pytest.approx(1.0, abs=0.1)
+
+
+@given(st.integers(0, 1000), st.floats(0.01, 0.5))
+@settings(max_examples=15, deadline=None)
+def test_the_nearest_point_is_the_mean_of_what_is_not_farther_than_the_quantile(seed, fraction):
+    source = wall()
+    source.range_m[:] = 2 + np.random.default_rng(seed).gamma(2.0, 0.3, SHAPE)
+    one = segment(block(slice(None), slice(None)), source, near_fraction=fraction)
+    points = to_world(source, LENS, Mounting()).reshape(-1, 3)
+    near = points[points[:, 0] <= np.float32(one.near_m)]
+    assert_allclose(one.nearest_m[1:], near[:, 1:].mean(axis=0), atol=1e-5)
