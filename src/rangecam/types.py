@@ -231,7 +231,8 @@ MEMORY = (
     *("log_width", "log_height", "log_fill", "log_width_variance", "log_height_variance", "log_fill_variance"),
     *("reliability", "process_noise", "merged", "parts"),
 )
-"""Columns of `Tracks.memory`: running mean and variance of the logarithms of width (m), height (m) and fill (pixels times
+"""Columns of `Tracks.memory`: running mean and variance of the logarithms of width (m), height (m) and fill (pixels
+times
 squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the process
 noise, number of the group that is seen as one segment (0: none), frames in a row in which it was seen in parts."""
 POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]

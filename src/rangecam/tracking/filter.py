@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from rangecam.tracking.association import NO_PAIR
-from rangecam.types import Floats, Ints, TrackStatus
+from rangecam.types import Cut, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
 GONE = -1
@@ -23,17 +23,18 @@ WHOLE, PAIRING, PAIRED = 0, 1, 2
 RULES = (
     *("gate", "common", "extent", "time_variance", "weight", "vertical", "confirm_hits", "confirm_frames"),
     *("max_misses", "max_misses_vru", "max_misses_vehicle", "max_misses_obstacle", "max_variance"),
-    *("euclidean", "adapt_s", "adapt_limit", "turns"),
+    *("euclidean", "adapt_s", "adapt_limit", "turns", "cut"),
 )
 """What the kernels are told by the settings, as one array: largest squared distance, variance of every position, of the
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise; whether
-the model turns."""
+the model turns; variance of the centroid of what is cut short as a share of the squared size."""
 _RELIABILITY, _NOISE, _GROUP, _PARTS = 6, 7, 8, 9  # columns of MEMORY
 
-Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats]
-"""label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m of `Segments`:
+Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
+"""label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m, cut of `Segments`:
 int64 and float64. One of no pixels is no segment, but what `groups` makes of one: it teaches neither shape nor NIS."""
+_ACROSS, _UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.OCCLUDED)
 _Room = tuple[Floats, Floats, Floats, Floats]
 
 
@@ -60,6 +61,7 @@ def advance(
     range_m: Floats,
     amplitude: Floats,
     sigma: Floats,
+    cut: Ints,
     model: Floats,
     rules: Floats,
     own: Floats,
@@ -86,7 +88,7 @@ def advance(
     """
     R = np.empty_like(position_covariance)
     measured = position, R, rules[3], pixels
-    complete(position_covariance, size, rules[1], rules[2], R)
+    complete(position_covariance, size, cut, rules, R)
     scale = memory[:, _NOISE].copy()
     if rules[16] > 0:
         _predict_turning(state, covariance, model, rules[5], scale, own, x, P)
@@ -97,7 +99,7 @@ def advance(
         if not take_only_candidates(cost, took) or stage == PAIRING:
             return CONTESTED, 0, 0
     _update(x, P, took, weights, measured, means[2])
-    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma
+    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut
     _reshape(took, (shape, near_offset, n_pixels, memory), seen, rules[4], (counts[4], new_shape, means, new_memory))
     _adapt(means[2], model[0, 0, 1], rules, new_memory)
     ended = _count(took, pixels, (status, age, hits, misses, class_probability), P, rules, counts)
@@ -128,7 +130,7 @@ def advance_modes(
     mu, modes, spreads, x, P, counts, means, new_shape, new_memory = new
     R = np.empty_like(seen[2])
     measured = position, R, rules[3], pixels
-    complete(seen[2], size, rules[1], rules[2], R)
+    complete(seen[2], size, seen[10], rules, R)
     _mix((old[0], old[1], old[2]), motion[1], (mu, modes, spreads))
     scale = memory[:, _NOISE].copy()
     for k in range(mu.shape[1]):
@@ -143,7 +145,7 @@ def advance_modes(
         if not take_only_candidates(cost, took) or stage == PAIRING:
             return CONTESTED, 0, 0
     _update_modes((mu, modes, spreads), (x, P), took, weights, measured, means[2])
-    shapes = seen[0], position, size, seen[4], pixels, seen[6], seen[7], seen[8], seen[9]
+    shapes = seen[0], position, size, seen[4], pixels, seen[6], seen[7], seen[8], seen[9], seen[10]
     _reshape(took, (old[7], old[8], old[9], memory), shapes, rules[4], (counts[4], new_shape, means, new_memory))
     _adapt(means[2], motion[0][0, 0, 0, 1], rules, new_memory)
     ended = _count(took, pixels, (old[3], old[4], old[5], old[6], old[10]), P, rules, counts)
@@ -211,7 +213,7 @@ def _update_modes(
     S, V = room[0], room[1]
     for i in range(took.size):
         nis[i] = np.nan
-        if soft and weights[i].sum() > 0:
+        if soft and _any(weights[i]):
             _blend_modes(mu[i], modes[i], spreads[i], weights[i], measured)
         elif took[i] >= 0:
             z, R = measured[0][took[i]], measured[1][took[i]]
@@ -234,7 +236,7 @@ def _correct_modes(
     for k in range(mu.size):
         squared, determinant = _correct(modes[k], spreads[k], z, R, time_variance, room)
         likelihood[k] = -0.5 * (squared + math.log(determinant))
-    best, total = likelihood.max(), 0.0
+    best, total = likelihood[_largest(likelihood)], 0.0
     for k in range(mu.size):
         mu[k] = max(mu[k] * math.exp(likelihood[k] - best), _LEAST_PROBABLE)
         total += mu[k]
@@ -252,27 +254,53 @@ def _blend_modes(
     P(segment) P(mode | segment).
     """
     n, K, m, room = weights.size, mu.size, 1, _room()
+    rest = 1.0
     for j in range(n):
         m += weights[j] > 0
+        rest -= weights[j]
     share, states, covariances = np.empty((K, m)), np.empty((K, m, 9)), np.empty((K, m, 9, 9))
-    each, one, its = np.empty(K), np.empty_like(modes), np.empty_like(spreads)
-    at, rest = 0, 1.0 - weights.sum()
+    each, one, its = np.empty(K), np.empty((K, 9)), np.empty((K, 9, 9))
+    at = 0
     for j in range(-1, n):
         if j >= 0 and not weights[j] > 0:
             continue
-        each[:], one[:], its[:] = mu, modes, spreads
+        for k in range(K):
+            each[k] = mu[k]
+            _copy(modes[k], spreads[k], one[k], its[k])
         if j >= 0:
             _correct_modes(each, one, its, measured[0][j], measured[1][j], measured[2], room)
         for k in range(K):
             share[k, at] = each[k] * (weights[j] if j >= 0 else max(rest, 0.0))
-            states[k, at], covariances[k, at] = one[k], its[k]
+            _copy(one[k], its[k], states[k, at], covariances[k, at])
         at += 1
+    everything = 0.0
     for k in range(K):
-        mu[k] = share[k].sum()
+        mu[k] = 0.0
+        for a in range(m):
+            mu[k] += share[k, a]
         for a in range(m):
             share[k, a] /= mu[k]
-    mu /= mu.sum()
+        everything += mu[k]
+    for k in range(K):
+        mu[k] /= everything
     _moments(share, states, covariances, modes, spreads)
+
+
+@njit(cache=True, nogil=True)
+def _copy(x: Floats, P: Floats, new_x: Floats, new_P: Floats) -> None:
+    """Copy one state; as whole arrays it would compile for seconds."""
+    for a in range(9):
+        new_x[a] = x[a]
+        for b in range(9):
+            new_P[a, b] = P[a, b]
+
+
+@njit(cache=True, nogil=True)
+def _any(weights: Floats) -> bool:
+    for j in range(weights.size):  # noqa: SIM110 - loops compile quickly
+        if weights[j] > 0:
+            return True
+    return False
 
 
 _LEAST_PROBABLE = 1e-9
@@ -280,13 +308,17 @@ _LEAST_PROBABLE = 1e-9
 
 
 @njit(cache=True, nogil=True)
-def complete(covariance: Floats, size: Floats, common: float, extent: float, R: Floats) -> None:
+def complete(covariance: Floats, size: Floats, cut: Ints, rules: Floats, R: Floats) -> None:
     """Write the covariances of the positions, errors that the camera cannot know of included."""
+    common, extent, unseen = rules[1], rules[2], rules[17]
     for j in range(size.shape[0]):
+        across, up = cut[j] & _ACROSS != 0, cut[j] & _UP != 0
         for a in range(3):
             for b in range(3):
                 R[j, a, b] = covariance[j, a, b]
             R[j, a, a] += common + extent * size[j, a] ** 2
+            if (a == 1 and across) or (a == 2 and up):
+                R[j, a, a] += unseen * size[j, a] ** 2
 
 
 @njit(cache=True, nogil=True)
@@ -338,21 +370,26 @@ def _predict_turning(
     for i in range(state.shape[0]):
         vx, vy, ax, ay = state[i, 1] + own[0], state[i, 4] + own[1], state[i, 2], state[i, 5]
         square = vx * vx + vy * vy + covariance[i, 1, 1] + covariance[i, 4, 4]
-        w, slope[:] = 0.0, 0.0
+        w = 0.0
+        for a in range(9):
+            slope[a] = 0.0
         if square > 1e-12:
             w = (vx * ay - vy * ax) / square
             slope[1], slope[2] = (ay - 2 * w * vx) / square, -vy / square
             slope[4], slope[5] = (-ax - 2 * w * vy) / square, vx / square
         turning(T, w, F, dF)
-        J[:] = 0.0
+        for a in range(9):
+            for b in range(9):
+                J[a, b] = 0.0
         for axis in range(3):
-            a, v_own = 3 * axis, own[axis] if axis < 2 else 0.0
+            a, v_own, level = 3 * axis, own[axis] if axis < 2 else 0.0, axis < 2
             p, v, acceleration = state[i, a], state[i, a + 1] + v_own, state[i, a + 2]
             for b in range(3):
-                row = F[b] if axis < 2 else model[0, b]
-                x[i, a + b] = row[0] * p + row[1] * v + row[2] * acceleration
-                J[a + b, a : a + 3] = row
-                if axis < 2:
+                x[i, a + b] = 0.0
+                for c in range(3):
+                    J[a + b, a + c] = F[b, c] if level else model[0, b, c]
+                    x[i, a + b] += J[a + b, a + c] * (p if c == 0 else v if c == 1 else acceleration)
+                if level:
                     with_w = dF[b, 1] * v + dF[b, 2] * acceleration
                     for c in range(6):
                         J[a + b, c] += with_w * slope[c]
@@ -405,7 +442,7 @@ def _gate(
     for i in range(cost.shape[0] if euclidean > 0 else 0):
         for j in range(cost.shape[1]):
             square = (z[j, 0] - x[i, 0]) ** 2 + (z[j, 1] - x[i, 3]) ** 2 + (z[j, 2] - x[i, 6]) ** 2
-            inside = square <= gate * euclidean and math.isfinite(R[j].sum())
+            inside = square <= gate * euclidean and math.isfinite(R[j, 0, 0] + R[j, 1, 1] + R[j, 2, 2])
             cost[i, j] = square / euclidean + 3 * math.log(euclidean) if inside else NO_PAIR
     if euclidean > 0:
         return
@@ -489,7 +526,7 @@ def _update(
     room, soft = _room(), weights.shape[0] > 0
     for i in range(took.size):
         j, nis[i] = took[i], np.nan
-        if soft and weights[i].sum() > 0:
+        if soft and _any(weights[i]):
             _blend(state[i : i + 1], covariance[i : i + 1], weights[i], measured)
         elif j >= 0:
             squared, _ = _correct(state[i], covariance[i], measured[0][j], measured[1][j], measured[2], room)
@@ -508,11 +545,13 @@ def _blend(x: Floats, P: Floats, weights: Floats, measured: tuple[Floats, Floats
     for j in range(n):
         m += weights[j] > 0
     share, states, covariances = np.empty((1, m)), np.empty((1, m, 9)), np.empty((1, m, 9, 9))
-    share[0, 0], states[0, 0], covariances[0, 0] = max(1.0 - weights.sum(), 0.0), x[0], P[0]
-    m = 1
+    share[0, 0], m = 1.0, 1
+    _copy(x[0], P[0], states[0, 0], covariances[0, 0])
     for j in range(n):
         if weights[j] > 0:
-            share[0, m], states[0, m], covariances[0, m] = weights[j], x[0], P[0]
+            share[0, m] = weights[j]
+            share[0, 0] = max(share[0, 0] - weights[j], 0.0)
+            _copy(x[0], P[0], states[0, m], covariances[0, m])
             _correct(states[0, m], covariances[0, m], measured[0][j], measured[1][j], measured[2], room)
             m += 1
     _moments(share, states, covariances, x, P)
@@ -525,9 +564,7 @@ def _room() -> _Room:
 
 
 @njit(cache=True, nogil=True)
-def _correct(
-    x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float, room: _Room
-) -> tuple[float, float]:
+def _correct(x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float, room: _Room) -> tuple[float, float]:
     """Update one state by one measurement in place; return the squared distance of the two and det S.
 
     room: (3, 3), (3, 3), (9, 3), (9, 3) to compute in.
@@ -570,7 +607,7 @@ def _count(
         age, hits, misses = old[1][i] + 1, old[2][i] + hit, 0 if hit else old[3][i] + (0 if together else 1)
         if old[0][i] != _TENTATIVE:
             fate = _CONFIRMED if hit else _COASTING
-            if fate == _COASTING and misses > rules[8 + np.argmax(old[4][i])]:
+            if fate == _COASTING and misses > rules[8 + _largest(old[4][i])]:
                 fate = GONE
         elif hits >= confirm_hits:
             fate = _CONFIRMED
@@ -582,6 +619,15 @@ def _count(
         new[0, i], new[1, i], new[2, i], new[3, i] = fate, age, hits, misses
         gone += fate == GONE
     return gone
+
+
+@njit(cache=True, nogil=True)
+def _largest(values: Floats) -> int:
+    best = 0
+    for k in range(1, values.size):
+        if values[k] > values[best]:
+            best = k
+    return best
 
 
 @njit(cache=True, nogil=True)
@@ -601,13 +647,20 @@ def _adapt(nis: Floats, T: float, rules: Floats, memory: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def describe(
-    size: Floats, pixels: Ints, box: Ints, range_m: Floats, amplitude: Floats, sigma: Floats, shape: Floats
+    size: Floats,
+    pixels: Ints,
+    box: Ints,
+    range_m: Floats,
+    amplitude: Floats,
+    sigma: Floats,
+    cut: Ints,
+    shape: Floats,
 ) -> None:
     """Write the shape of each segment (M, 7): logarithms of width, height and fill, their variances, reliability.
 
     Fill is pixels times squared range over width and height: what the pixels tell beside width and height. The
     variances are those of pixels: each edge lies anywhere in its pixel (1/12 of its square), and each pixel of the
-    outline is in or out.
+    outline is in or out. Of what is cut short, anything up to as much as is seen may be missing.
     """
     for j in range(len(shape)):
         width, height, n = _at_least(size[j, 1], 1e-3), _at_least(size[j, 2], 1e-3), max(pixels[j], 1)
@@ -615,8 +668,14 @@ def describe(
         shape[j, 0], shape[j, 1] = math.log(width), math.log(height)
         shape[j, 2] = math.log(n * _at_least(range_m[j], 1e-3) ** 2 / (width * height))
         shape[j, 3], shape[j, 4] = 1 / (6 * columns**2), 1 / (6 * rows**2)
+        shape[j, 3] += _CUT_SHORT if cut[j] & _ACROSS else 0.0
+        shape[j, 4] += _CUT_SHORT if cut[j] & _UP else 0.0
         shape[j, 5] = shape[j, 3] + shape[j, 4] + (rows + columns) / (2 * n**2)
         shape[j, 6] = _at_least(amplitude[j], 0.0) / sigma[j] if sigma[j] > 0 else 0.0
+
+
+_CUT_SHORT = 2 * math.log(2) ** 2 - 4 * math.log(2) + 2
+"""Mean square of log(1 + u) for u evenly between 0 and 1."""
 
 
 @njit(cache=True, nogil=True)
@@ -628,15 +687,18 @@ def _at_least(value: float, least: float) -> float:
 def _reshape(
     took: Ints,
     old: tuple[Floats, Floats, Floats, Floats],
-    seen: tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats],
+    seen: tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints],
     weight: float,
     new: tuple[Ints, Floats, Floats, Floats],
 ) -> None:
-    """Write the label of the segment each track took, and the running means of size, nearest point, pixels, shape."""
-    label, position, size, near, pixels, box, range_m, amplitude, sigma = seen
+    """Write the label of the segment each track took, and the running means of size, nearest point, pixels, shape.
+
+    What is cut short says only how large the object is at least.
+    """
+    label, position, size, near, pixels, box, range_m, amplitude, sigma, cut = seen
     new_label, new_size, means, memory = new
     shape = np.empty((len(label), 7))
-    describe(size, pixels, box, range_m, amplitude, sigma, shape)
+    describe(size, pixels, box, range_m, amplitude, sigma, cut, shape)
     for i in range(took.size):
         j = took[i]
         new_label[i], means[0, i], means[1, i] = label[j] if j >= 0 else 0, old[1][i], old[2][i]
@@ -650,10 +712,14 @@ def _reshape(
             means[1, i] += weight * (pixels[j] - old[2][i])
             memory[i, _RELIABILITY] += weight * (shape[j, 6] - memory[i, _RELIABILITY])
             for a in range(3):
-                new_size[i, a] += weight * (size[j, a] - old[0][i, a])
+                short = cut[j] & (_UP if a == 2 else _ACROSS) != 0 and a > 0
+                if not short or size[j, a] > old[0][i, a]:
+                    new_size[i, a] += weight * (size[j, a] - old[0][i, a])
+            for a in range(3):
                 apart = shape[j, a] - memory[i, a]
-                memory[i, a] += weight * apart
-                memory[i, 3 + a] += weight * (apart * apart - memory[i, 3 + a])
+                if cut[j] == 0:
+                    memory[i, a] += weight * apart
+                    memory[i, 3 + a] += weight * (apart * apart - memory[i, 3 + a])
 
 
 @njit(cache=True, nogil=True)

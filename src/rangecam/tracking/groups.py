@@ -240,7 +240,9 @@ def _bounds(seen: Seen, pieces: list[int] | tuple[int, ...]) -> tuple[Floats, Fl
 
 def _joined(seen: Seen, pieces: tuple[int, ...]) -> tuple[object, ...]:
     """Return one segment of several, its label that of the largest."""
-    label, position, covariance, _, near, pixels, box, range_m, amplitude, sigma = (each[list(pieces)] for each in seen)
+    label, position, covariance, _, near, pixels, box, range_m, amplitude, sigma, cut = (
+        each[list(pieces)] for each in seen
+    )
     count = np.maximum(pixels, 1)
     weight = count / count.sum()
     low, high = _bounds(seen, pieces)
@@ -255,4 +257,5 @@ def _joined(seen: Seen, pieces: tuple[int, ...]) -> tuple[object, ...]:
         weight @ range_m,
         weight @ amplitude,
         math.sqrt(float(weight**2 @ sigma**2)),
+        np.bitwise_or.reduce(cut),
     )

@@ -41,6 +41,9 @@ class TrackingSettings:
     """Error of a measured position that does not average out, added to the measurement's own covariance."""
     extent_sigma: NonNegative = 0.05
     """Wander of the centroid over an extended object: standard deviation as a share of the object's size."""
+    cut_sigma: NonNegative = 0.29
+    """The same, beside it, where the image's edge or something nearer cuts an object short: 1 over the root
+    of 12 is that of missing anything, evenly, up to as much as is seen."""
     frame_time_sigma_s: NonNegative = 0.0
     """Jitter of the frames' time stamps; it blurs the position of a moving object along its way."""
     confirm_hits: PositiveInt = 3

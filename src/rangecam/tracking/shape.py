@@ -50,7 +50,16 @@ def memory_of(tracks: Tracks, sigma: float) -> Floats:
     box = np.tile(np.array([0, 0, 1, 1]), (n, 1))
     range_m = np.linalg.norm(tracks.state[:, ::3], axis=1)
     shape, pixels = np.empty((n, 7)), np.maximum(np.rint(tracks.n_pixels), 1).astype(int)
-    describe(np.asarray(tracks.size_m, float), pixels, box, range_m, np.ones(n), np.full(n, math.inf), shape)
+    describe(
+        np.asarray(tracks.size_m, float),
+        pixels,
+        box,
+        range_m,
+        np.ones(n),
+        np.full(n, math.inf),
+        np.zeros(n, int),
+        shape,
+    )
     return first_memory(shape, sigma)
 
 

@@ -64,7 +64,7 @@ def update_tracks(
     tracks, seen, took, ended, left = follow(tracks, seen, dt_s, own, state, settings)
     if ended:
         tracks = delete(tracks)
-    return initiate(tracks, seen, took, settings) if left else tracks
+    return initiate(tracks, seen, took, _constants(settings), settings) if left else tracks
 
 
 def _follow(
@@ -149,7 +149,7 @@ def _associated(
         step(seen, took, _NO_WEIGHTS, PAIRING)
     if settings.recognise_merges:
         rules, R = _constants(settings), np.empty_like(seen[2])
-        complete(seen[2], seen[3], rules[1], rules[2], R)
+        complete(seen[2], seen[3], seen[10], rules, R)
         scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
         grouped = regroup(scene, took, settings.max_parts_frames)
     if grouped is None:
@@ -218,6 +218,7 @@ def _seen_in(segments: Segments) -> Seen:
         np.asarray(segments.range_m, _FLOAT),
         np.asarray(segments.amplitude, _FLOAT),
         np.asarray(segments.sigma_range_m, _FLOAT),
+        np.asarray(segments.cut, _INT),
     )
 
 
@@ -230,7 +231,10 @@ def _turns(motion: MotionSettings) -> Floats:
 @lru_cache(maxsize=16)
 def _constants(settings: TrackingSettings) -> Floats:
     """Return what `advance` is told by the settings, once for all frames."""
-    motion, misses = settings.motion, (settings.max_misses_vru, settings.max_misses_vehicle, settings.max_misses_obstacle)
+    motion, misses = (
+        settings.motion,
+        (settings.max_misses_vru, settings.max_misses_vehicle, settings.max_misses_obstacle),
+    )
     gate = gate_threshold(settings.gate_probability)
     euclidean = settings.euclidean_gate_m**2 / gate if settings.distance == "euclidean" else 0.0
     rules = {
@@ -251,6 +255,7 @@ def _constants(settings: TrackingSettings) -> Floats:
         "adapt_s": motion.adapt_s,
         "adapt_limit": motion.adapt_limit,
         "turns": motion.model == TURNS,
+        "cut": settings.cut_sigma**2,
     }
     return np.array([float(rules[name]) for name in RULES])
 
