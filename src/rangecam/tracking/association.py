@@ -35,7 +35,7 @@ def associate_greedily(cost: Floats, priority: Floats) -> Ints:
 
 
 def associate_by_age(cost: Floats, priority: Floats) -> Ints:
-    """Return the segment's index for each track (N,), -1 for none: the highest priority chooses first (K-TRK-04, 05)."""
+    """Return the segment's index for each track (N,), -1 for none: by priority, the highest first (K-TRK-04, 05)."""
     took = np.full(len(priority), -1)
     if cost.shape[1]:
         free = cost.copy()

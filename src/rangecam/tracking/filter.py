@@ -28,7 +28,7 @@ RULES = (
 """What the kernels are told by the settings, as one array: largest squared distance, variance of every position, of the
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise; whether
-the model turns; variance of the centroid of what is cut short as a share of the squared size."""
+the model turns; variance of the centroid of what is cut short, as a share of the squared size."""
 _RELIABILITY, _NOISE, _GROUP, _PARTS = 6, 7, 8, 9  # columns of MEMORY
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
@@ -78,6 +78,8 @@ def advance(
 ) -> tuple[int, int, int]:
     """Predict, gate, associate, update and age; return how many tracks end, how many segments are left over, ignored.
 
+    Left over is -1 - that number where a confirmed track that took none is expected inside a segment.
+
     Given one by one, as a tuple of arrays costs a call more than what is done with them: eleven fields of the tracks,
     ten of the segments, F and Q of one axis (2, 3, 3), `RULES`, own velocity (2,) for the turn.
 
@@ -103,7 +105,7 @@ def advance(
     _reshape(took, (shape, near_offset, n_pixels, memory), seen, rules[4], (counts[4], new_shape, means, new_memory))
     _adapt(means[2], model[0, 0, 1], rules, new_memory)
     ended = _count(took, pixels, (status, age, hits, misses, class_probability), P, rules, counts)
-    return _summed(ended, took, position, R)
+    return _summed(ended, took, status, (x, P), position, size, R)
 
 
 @njit(cache=True, nogil=True)
@@ -149,16 +151,37 @@ def advance_modes(
     _reshape(took, (old[7], old[8], old[9], memory), shapes, rules[4], (counts[4], new_shape, means, new_memory))
     _adapt(means[2], motion[0][0, 0, 0, 1], rules, new_memory)
     ended = _count(took, pixels, (old[3], old[4], old[5], old[6], old[10]), P, rules, counts)
-    return _summed(ended, took, position, R)
+    return _summed(ended, took, old[3], (x, P), position, size, R)
 
 
 @njit(cache=True, nogil=True)
-def _summed(ended: int, took: Ints, position: Floats, R: Floats) -> tuple[int, int, int]:
-    """Return how many tracks end, how many finite segments are left over, how many are not finite."""
-    left, taken = left_over(took, position, R, np.empty(len(position), np.int64)), 0
+def _summed(
+    ended: int, took: Ints, status: Ints, predicted: tuple[Floats, Floats], position: Floats, size: Floats, R: Floats
+) -> tuple[int, int, int]:
+    """Return how many tracks end, how many finite segments are left over, how many are not finite: see `advance`."""
+    left, taken, hidden = left_over(took, position, R, np.empty(len(position), np.int64)), 0, False
+    x, P = predicted
     for i in range(took.size):
-        taken += took[i] >= 0
-    return ended, left, len(position) - left - taken
+        if took[i] >= 0:
+            taken += 1
+        elif status[i] != _TENTATIVE and not hidden:
+            for j in range(len(position)):
+                hidden = hidden or inside(x[i], P[i], position[j], size[j])
+    ignored = len(position) - left - taken
+    return ended, -1 - left if hidden else left, ignored
+
+
+@njit(cache=True, nogil=True)
+def inside(x: Floats, P: Floats, position: Floats, size: Floats) -> bool:
+    """Return whether a predicted centre lies in the box of a segment, within two standard deviations.
+
+    Of its depth hardly anything is seen, so half a metre of it is allowed for.
+    """
+    for a in range(3):
+        reach = size[a] / 2 + 2 * math.sqrt(max(P[3 * a, 3 * a], 0.0)) + (0.5 if a == 0 else 0.0)
+        if not abs(x[3 * a] - position[a]) <= reach:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -131,10 +131,10 @@ def _within(scene: Scene, tracks: Ints, segments: Ints, share: float) -> Ints:
     """Return (n, m): whether the predicted centre lies in the segment's box; share: of the track's size beside it."""
     sigma = np.sqrt(scene.P[tracks][:, range(3), range(3)])
     half = scene.seen[3][segments] / 2
-    own = scene.size[tracks] * np.array([max(share, 0.5), share, share])  # depth is hardly ever seen
+    own = scene.size[tracks] * share + np.array([0.5, 0.0, 0.0])  # as `filter.inside`: depth is hardly ever seen
     apart = np.abs(scene.x[tracks][:, None] - scene.seen[1][segments][None])
-    inside: Ints = (apart <= half[None] + (own + _REACH * sigma)[:, None]).all(axis=2)
-    return inside
+    near: Ints = (apart <= half[None] + (own + _REACH * sigma)[:, None]).all(axis=2)
+    return near
 
 
 def _total(scene: Scene, j: int, some: tuple[int, ...], count: int) -> float:
@@ -165,25 +165,46 @@ def _total(scene: Scene, j: int, some: tuple[int, ...], count: int) -> float:
 
 
 def _held(scene: Scene, j: int, members: tuple[int, ...]) -> list[tuple[object, ...]]:
-    """Return what a common segment says of each of its tracks: where it is if the others are where they are expected.
+    """Return what a common segment says of each of its tracks.
 
-    z = sum of a_i p_i, a_i the shares of the pixels, gives p_i = (z - sum of the others' a p) / a_i, with the
-    covariance of all that is subtracted, and that of the shares, over a_i^2: for two alike more than four times that of
-    the segment, plus that of the other.
+    The one that reaches furthest to a side ends where the segment ends, if none of the others is likely to reach as
+    far: its centre is half its width from there, as surely as the width is known. Else it is where it is if the others
+    are where they are expected: z = sum of a_i p_i, a_i the shares of the pixels, gives p_i = (z - sum of the others'
+    a p) / a_i, with the covariance of all that is subtracted, and that of the shares, over a_i^2; for two alike that is
+    more than four times that of the segment, plus that of the other. Ahead it is where the segment is, but for how far
+    it is expected from it.
     """
     i = list(members)
     share = scene.n_pixels[i] / scene.n_pixels[i].sum()
     apart = scene.x[i] - share @ scene.x[i]
     spread = scene.R[j] + np.einsum("i,ia,ib->ab", share / 3, apart, apart)
+    half = np.exp(scene.memory[i, 0]) / 2
+    half_m2 = half**2 * scene.memory[i, SHAPE_SPREAD] + scene.seen[3][j, 1] ** 2 * scene.shape[j, SHAPE_SPREAD] / 4
+    low, high = scene.x[i, 1] - half, scene.x[i, 1] + half
+    middle = scene.seen[1][j, 1] + (low.min() + high.max()) / 2 - share @ scene.x[i, 1]  # of the box, not of the pixels
+    end = scene.seen[3][j, 1] / 2
+    sides = {_furthest(-low, scene.P[i]): -1.0, _furthest(high, scene.P[i]): 1.0}
     rows = []
     for k, a in enumerate(share):
         others = np.arange(len(i)) != k
         place = (scene.seen[1][j] - share[others] @ scene.x[i][others]) / a
         variance = (spread + np.einsum("i,iab->ab", share[others] ** 2, scene.P[i][others])) / a**2
+        place[0], variance[0, :], variance[:, 0] = scene.seen[1][j, 0], 0.0, 0.0
+        variance[0, 0] = scene.R[j, 0, 0] + apart[k, 0] ** 2
+        if k in sides:
+            place[1], variance[1, :], variance[:, 1] = middle + sides[k] * (end - half[k]), 0.0, 0.0
+            variance[1, 1] = half_m2[k] + scene.R[j, 1, 1]
         row = [column[j] for column in scene.seen]
-        row[1], row[2], row[3], row[5] = place, variance, np.zeros(3), 0
+        row[1], row[2], row[3], row[5], row[10] = place, variance, np.zeros(3), 0, 0
         rows.append(tuple(row))
     return rows
+
+
+def _furthest(reach: Floats, P: Floats) -> int:
+    """Return which track reaches furthest, -1 where another may reach as far."""
+    first, second = np.argsort(-reach)[:2]
+    sigma = math.sqrt(P[first, 1, 1] + P[second, 1, 1])
+    return int(first) if reach[first] - reach[second] > _REACH * sigma else -1
 
 
 def _split(
@@ -202,7 +223,7 @@ def _split(
     for k in np.flatnonzero(near.any(axis=1)):
         i = int(whole[k])
         order = [j for j in free[near[k]].tolist() if j not in taken]
-        order.sort(key=lambda j: float(np.abs(scene.seen[1][j] - scene.x[i]).sum()))  # noqa: B023 - used at once
+        order = [order[k] for k in np.argsort(np.abs(scene.seen[1][order] - scene.x[i]).sum(axis=1))]
         pieces = [int(took[i])] if took[i] >= 0 else order[:1]
         best = _likeness(scene, i, pieces) if pieces else math.inf
         for j in order:

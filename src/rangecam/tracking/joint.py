@@ -20,8 +20,8 @@ def marginals(cost: Floats, detection_probability: float, gate_probability: floa
     cost (N, M) as in `association`. A joint event pairs each track with one segment or none, and each segment with one
     track at most; its probability is the product of P_D N(innovation) / clutter over its pairs, and of 1 - P_D P_G over
     the tracks without one. Clusters that share no segment are summed on their own, exactly; where that would take more
-    than `LARGEST` pairs or sets of taken segments, by belief propagation. Rows of tracks that compete with none stay 0: they take their segment
-    as it is.
+    than `LARGEST` pairs or sets of taken segments, by belief propagation. Rows of tracks that compete with none stay
+    0: they take their segment as it is.
     """
     weights = np.zeros(cost.shape)
     rows, columns = np.nonzero(cost < NO_PAIR)

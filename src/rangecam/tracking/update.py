@@ -133,8 +133,11 @@ def _associated(
     """
     x, P, cost, took, new_memory = arrays
     ended, left, ignored = step(seen, took, _NO_WEIGHTS, WHOLE)
-    contested = ended == CONTESTED
-    if not (contested or left and settings.recognise_merges and (tracks.status != TrackStatus.TENTATIVE).any()):
+    contested, hidden, left = ended == CONTESTED, left < 0, max(left, -1 - left)
+    shared = settings.recognise_merges and (
+        hidden or (left > 0 and bool((tracks.status != TrackStatus.TENTATIVE).any()))
+    )
+    if not (contested or shared):
         return seen, took, ended, left, ignored
     shape, weights, grouped = shapes(seen), _NO_WEIGHTS, None
     if contested:
@@ -153,14 +156,15 @@ def _associated(
         scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
         grouped = regroup(scene, took, settings.max_parts_frames)
     if grouped is None:
-        return seen, took, *step(seen, took, weights, PAIRED)
+        ended, left, ignored = step(seen, took, weights, PAIRED)
+        return seen, took, ended, max(left, -1 - left), ignored
     if weights.size:
         weights = np.where(grouped.used, 0.0, weights)
         weights[grouped.took >= len(grouped.used)] = 0.0
         weights = np.pad(weights, ((0, 0), (0, len(grouped.seen[0]) - weights.shape[1])))
     ended, left, ignored = step(grouped.seen, grouped.took, weights, PAIRED)
     new_memory[:, _GROUP], new_memory[:, _PARTS] = grouped.group, grouped.parts
-    return grouped.seen, grouped.took, ended, left, ignored - int(grouped.used.sum())
+    return grouped.seen, grouped.took, ended, max(left, -1 - left), ignored - int(grouped.used.sum())
 
 
 def _modes_of(tracks: Tracks, count: int) -> tuple[Floats, Floats, Floats]:
