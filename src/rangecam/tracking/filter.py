@@ -32,8 +32,8 @@ the model turns; variance of the centroid of what is cut short, as a share of th
 _RELIABILITY, _NOISE, _GROUP, _PARTS = 6, 7, 8, 9  # columns of MEMORY
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
-"""label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m, cut of `Segments`:
-int64 and float64. One of no pixels is no segment, but what `groups` makes of one: it teaches neither shape nor NIS."""
+"""label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m and cut of
+`Segments`: int64 and float64. One of no pixels is no segment, but what `groups` makes of one: it teaches neither shape nor NIS."""
 _ACROSS, _UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.OCCLUDED)
 _Room = tuple[Floats, Floats, Floats, Floats]
 
@@ -96,6 +96,7 @@ def advance(
         _predict_turning(state, covariance, model, rules[5], scale, own, x, P)
     else:
         _predict(state, covariance, model, rules[5], scale, x, P)
+    unseen(x, P, memory, position, size, cut, rules, R)
     if stage != PAIRED:
         _gate(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
@@ -142,6 +143,7 @@ def advance_modes(
         else:
             _predict(before, spread, motion[0][k], rules[5], scale, modes[:, k], spreads[:, k])
     _moments(mu, modes, spreads, x, P)
+    unseen(x, P, memory, position, size, seen[10], rules, R)
     if stage != PAIRED:
         _gate(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
@@ -342,6 +344,28 @@ def complete(covariance: Floats, size: Floats, cut: Ints, rules: Floats, R: Floa
             R[j, a, a] += common + extent * size[j, a] ** 2
             if (a == 1 and across) or (a == 2 and up):
                 R[j, a, a] += unseen * size[j, a] ** 2
+
+
+@njit(cache=True, nogil=True)
+def unseen(
+    x: Floats, P: Floats, memory: Floats, position: Floats, size: Floats, cut: Ints, rules: Floats, R: Floats
+) -> None:
+    """Raise the covariances of what is cut short and may be part of a larger track, in place.
+
+    Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of what is seen.
+    """
+    for j in range(cut.size):
+        if cut[j] == 0:
+            continue
+        for a in range(1, 3):
+            missing = 0.0
+            for i in range(len(x) if cut[j] & (_ACROSS if a == 1 else _UP) else 0):
+                whole = math.exp(memory[i, a - 1])
+                reach = (whole + size[j, a]) / 2 + 2 * math.sqrt(P[i, 3 * a, 3 * a])
+                beside = abs(x[i, 3 * a] - position[j, a]) <= reach
+                if beside and abs(x[i, 0] - position[j, 0]) <= 0.5 + 2 * math.sqrt(P[i, 0, 0]):
+                    missing = max(missing, whole - size[j, a])
+            R[j, a, a] += rules[17] * missing**2
 
 
 @njit(cache=True, nogil=True)
@@ -740,8 +764,9 @@ def _reshape(
                     new_size[i, a] += weight * (size[j, a] - old[0][i, a])
             for a in range(3):
                 apart = shape[j, a] - memory[i, a]
-                if cut[j] == 0:
+                if cut[j] == 0 or (a < 2 and apart > 0):
                     memory[i, a] += weight * apart
+                if cut[j] == 0:
                     memory[i, 3 + a] += weight * (apart * apart - memory[i, 3 + a])
 
 

@@ -141,7 +141,8 @@ def _total(scene: Scene, j: int, some: tuple[int, ...], count: int) -> float:
     """Return the cost of segment j showing these tracks, of `count`, together; the others are not seen.
 
     Expected: the centroid by their pixels; whose shares may be anything, where one hides another, which spreads it
-    along the line between them; width and height from edge to edge.
+    along the line between them; width and height from edge to edge. Each of them must make the group wider by more than
+    it is uncertain: whoever is behind the others is hidden, not merged.
     """
     i = list(some)
     share = scene.n_pixels[i] / scene.n_pixels[i].sum()
@@ -160,8 +161,28 @@ def _total(scene: Scene, j: int, some: tuple[int, ...], count: int) -> float:
         if len(i) > 1:
             variance += scene.P[i, axis, axis].sum() / extent**2
         cost += (math.log(extent) - scene.shape[j, axis - 1]) ** 2 / variance + math.log(variance)
+    if len(i) > 1 and not _each_widens(scene, i):
+        return math.inf
     groups = set(scene.memory[i, _GROUP].tolist())
     return cost - (_STAY if len(i) > 1 and len(groups) == 1 and groups != {0.0} else 0.0)
+
+
+def _each_widens(scene: Scene, i: list[int]) -> bool:
+    half = np.exp(scene.memory[i, 0]) / 2
+    low, high, sigma = scene.x[i, 1] - half, scene.x[i, 1] + half, np.sqrt(scene.P[i, 1, 1])
+    every = range(len(i))
+    whole = _covered(low, high)
+    return all(
+        whole - _covered(low[rest], high[rest]) > sigma[k] for k in every for rest in [[m for m in every if m != k]]
+    )
+
+
+def _covered(low: Floats, high: Floats) -> float:
+    """Return how much of the line the intervals cover."""
+    order = np.argsort(low)
+    reached = np.maximum.accumulate(high[order])
+    gaps = np.maximum(low[order][1:] - reached[:-1], 0.0).sum()
+    return float(reached[-1] - low[order][0] - gaps)
 
 
 def _held(scene: Scene, j: int, members: tuple[int, ...]) -> list[tuple[object, ...]]:

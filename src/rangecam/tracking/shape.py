@@ -36,7 +36,7 @@ def first_memory(shape: Floats, sigma: float) -> Floats:
     """Return the memory (N, 10) of tracks that were seen once, with these shapes."""
     memory = np.zeros((len(shape), len(MEMORY)))
     memory[:, :SHAPE_SPREAD] = shape[:, :SHAPE_SPREAD]
-    memory[:, SHAPE_SPREAD:6] = sigma**2
+    memory[:, SHAPE_SPREAD:6] = sigma**2 + shape[:, SHAPE_SPREAD:6]
     memory[:, MEMORY.index("reliability")] = shape[:, 6]
     memory[:, MEMORY.index("process_noise")] = 1.0
     return memory

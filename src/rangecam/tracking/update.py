@@ -12,7 +12,18 @@ from scipy.special import chdtri
 from rangecam.errors import DataError
 from rangecam.motion import MOTION, TURNS, MotionSettings, mode_switching
 from rangecam.tracking.association import ASSOCIATION, NO_PAIR, priorities
-from rangecam.tracking.filter import CONTESTED, PAIRED, PAIRING, RULES, WHOLE, Seen, advance, advance_modes, complete
+from rangecam.tracking.filter import (
+    CONTESTED,
+    PAIRED,
+    PAIRING,
+    RULES,
+    WHOLE,
+    Seen,
+    advance,
+    advance_modes,
+    complete,
+    unseen,
+)
 from rangecam.tracking.groups import regroup, scene_of
 from rangecam.tracking.joint import marginals
 from rangecam.tracking.life import delete, initiate
@@ -153,6 +164,7 @@ def _associated(
     if settings.recognise_merges:
         rules, R = _constants(settings), np.empty_like(seen[2])
         complete(seen[2], seen[3], seen[10], rules, R)
+        unseen(x, P, memory, seen[1], seen[3], seen[10], rules, R)
         scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
         grouped = regroup(scene, took, settings.max_parts_frames)
     if grouped is None:
