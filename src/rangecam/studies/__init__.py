@@ -11,6 +11,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - pulsed_ambient, pulsed_rain, pulsed_gating, pulsed_saturation: the environment of the pulsed camera
 - virtual: how the whole camera measures in them
 - tracking_models, tracking_tuning: the motion models side by side; process and pixel noise of the thesis' filter
+- tracking_crowds: identities of people who hide each other, merge and part; its scenes and its peers
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - cw_scattering, cw_motion, cw_flying, cw_hdr, cw_multipath: and what its correction leaves; plates: scenes
 - cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
@@ -54,6 +55,7 @@ from rangecam.studies.pulsed_saturation import pulsed_saturation
 from rangecam.studies.pulsed_scenes import pulsed_scenes
 from rangecam.studies.pulsed_sensor import pulsed_sensor
 from rangecam.studies.study import Claim, Panel, Picture, Series, Study, as_json, table, verdicts
+from rangecam.studies.tracking_crowds import tracking_crowds
 from rangecam.studies.tracking_models import tracking_models
 from rangecam.studies.tracking_tuning import tracking_tuning
 from rangecam.studies.unwrapping import unwrapping
@@ -79,6 +81,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "applications": applications,
     "tracking-models": tracking_models,
     "tracking-tuning": tracking_tuning,
+    "tracking-crowds": tracking_crowds,
     "cw-imperfections": cw_imperfections,
     "cw-calibration": cw_calibration,
     "cw-scattering": cw_scattering,

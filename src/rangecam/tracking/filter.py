@@ -33,7 +33,8 @@ _RELIABILITY, _NOISE, _GROUP, _PARTS = 6, 7, 8, 9  # columns of MEMORY
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
 """label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m and cut of
-`Segments`: int64 and float64. One of no pixels is no segment, but what `groups` makes of one: it teaches neither shape nor NIS."""
+`Segments`: int64 and float64. One of no pixels is no segment, but what `groups` makes of one: it teaches neither shape
+nor NIS."""
 _ACROSS, _UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.OCCLUDED)
 _Room = tuple[Floats, Floats, Floats, Floats]
 

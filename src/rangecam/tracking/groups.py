@@ -76,7 +76,7 @@ def regroup(scene: Scene, took: Ints, max_parts_frames: int) -> Grouped | None:
     took = took.copy()
     usable = np.isfinite(scene.seen[1]).all(axis=1) & np.isfinite(scene.R).all(axis=(1, 2))
     lives = scene.status != TrackStatus.TENTATIVE
-    group, parts = np.zeros(len(took)), np.zeros(len(took))
+    group, parts = np.zeros(len(took)), lasting_parts(scene.memory, max_parts_frames)
     rows: list[tuple[object, ...]] = []
     used = np.zeros(len(usable), bool)
     for j, members in _merged(scene, took, usable, lives):
@@ -98,6 +98,13 @@ def regroup(scene: Scene, took: Ints, max_parts_frames: int) -> Grouped | None:
     whole = [np.concatenate(pair) for pair in zip(scene.seen, added, strict=True)]
     whole[1][: len(used)][used] = math.nan
     return Grouped(tuple(whole), took, used, group, parts)  # type: ignore[arg-type]
+
+
+def lasting_parts(memory: Floats, max_parts_frames: int) -> Floats:
+    """Return the counts (N,) of frames in parts that stay while tracks compete: of those that are no longer one."""
+    parts = memory[:, _PARTS]
+    lasting: Floats = np.where(parts >= max_parts_frames, parts, 0.0)
+    return lasting
 
 
 def _merged(scene: Scene, took: Ints, usable: Ints, lives: Ints) -> list[tuple[int, tuple[int, ...]]]:

@@ -24,7 +24,7 @@ from rangecam.tracking.filter import (
     complete,
     unseen,
 )
-from rangecam.tracking.groups import regroup, scene_of
+from rangecam.tracking.groups import lasting_parts, regroup, scene_of
 from rangecam.tracking.joint import marginals
 from rangecam.tracking.life import delete, initiate
 from rangecam.tracking.own_motion import carried
@@ -169,6 +169,7 @@ def _associated(
         grouped = regroup(scene, took, settings.max_parts_frames)
     if grouped is None:
         ended, left, ignored = step(seen, took, weights, PAIRED)
+        new_memory[:, _PARTS] = lasting_parts(memory, settings.max_parts_frames)
         return seen, took, ended, max(left, -1 - left), ignored
     if weights.size:
         weights = np.where(grouped.used, 0.0, weights)
