@@ -1,14 +1,16 @@
 """How objects move between two frames: the matrices F and Q of the motion models.
 
 All models share the nine-element state of `types.STATE`: position, velocity, acceleration of each axis (K-KAL-01). The
-axes move alike and on their own, so F and Q are the (3, 3) block of one axis, three times on the diagonal (eq 6.28).
+axes move alike and on their own, so F and Q are the (3, 3) block of one axis, three times on the diagonal (eq 6.28);
+only the coordinated turn couples the horizontal ones, through its turn rate.
 """
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge
 from numba import njit
 
 from rangecam.settings import NonNegative, Positive, settings
@@ -19,17 +21,18 @@ from rangecam.types import Floats
 class Mode:
     """One way in which objects are expected to move."""
 
-    model: Literal["constant_velocity", "constant_acceleration", "wiener_acceleration", "singer"] = (
-        "constant_acceleration"
-    )
+    model: Literal[
+        "constant_velocity", "constant_acceleration", "wiener_acceleration", "singer", "coordinated_turn"
+    ] = "constant_acceleration"
     """constant_velocity: the velocity drifts; constant_acceleration: the acceleration drifts (white jerk);
-    wiener_acceleration: it takes one random step a frame (the thesis); singer: it drifts and dies away."""
+    wiener_acceleration: it takes one random step a frame (the thesis); singer: it drifts and dies away;
+    coordinated_turn: it turns with the velocity, at the rate that both of them tell, and drifts."""
     velocity_drift_mps: NonNegative = 1.0
     """Standard deviation by which the velocity drifts within one second; its square is the spectral density of the
     acceleration, m2/s3. For constant_velocity."""
     drift_mps2: NonNegative = 3.0
     """Standard deviation by which the acceleration drifts within one second; its square is the spectral density of
-    the jerk, m2/s5. For constant_acceleration and singer."""
+    the jerk, m2/s5. For constant_acceleration, singer and coordinated_turn."""
     step_mps2: NonNegative = 1.0
     """Standard deviation of the acceleration's step in each frame (sigma_w of König eq 6.32). For
     wiener_acceleration."""
@@ -48,6 +51,11 @@ class MotionSettings(Mode):
     vertical_share: NonNegative = 1.0
     """Vertical motion as a share of horizontal motion: of its drift or step, and of what a new object may have of speed
     and acceleration. Small for whatever stands on the ground; 1 where the camera itself flies."""
+    adapt_s: NonNegative = 0.0
+    """Time over which the process noise of each track follows its innovations (K-FUT-08): more while they are larger
+    than they should be, less while they are smaller; 0: the noise stays as it is set."""
+    adapt_limit: Annotated[float, Ge(1)] = 100.0
+    """Largest factor by which the process noise is raised, and lowered."""
 
 
 def constant_velocity(dt_s: float, settings: Mode) -> Floats:
@@ -148,13 +156,28 @@ def _response(t: float, rate: float) -> tuple[float, float, float]:
     return to_x / rate**2, to_v / rate, math.exp(-u)
 
 
+def coordinated_turn(dt_s: float, settings: Mode) -> Floats:
+    """Return (2, 3, 3): F and Q of each axis for an object that turns in the horizontal plane, at the turn rate 0.
+
+    At a constant turn rate w and speed, da/dt = -w^2 v on both horizontal axes (Li and Jilkov 2003, part I, V.B), to
+    which the white jerk adds; so the axes stay alike. The state holds w = (v x a) / v^2: the tracker puts it
+    in for each track and linearises about it (`tracking.filter.turning`). At w = 0, and on the vertical axis,
+    this is `constant_acceleration`; its Q differs from that of the turn by less than (w dt)^2 / 2 of itself.
+    """
+    return constant_acceleration(dt_s, settings)
+
+
 MOTION: dict[str, Callable[[float, Mode], Floats]] = {
     "constant_velocity": constant_velocity,
     "constant_acceleration": constant_acceleration,
     "wiener_acceleration": wiener_acceleration,
     "singer": singer,
+    "coordinated_turn": coordinated_turn,
 }
 """Motion models by name: (seconds between the frames, settings) -> F, Q of one axis."""
+
+TURNS = "coordinated_turn"
+"""The one whose F depends on the state."""
 
 
 def mode_switching(dt_s: float, count: int, memory_s: float) -> Floats:

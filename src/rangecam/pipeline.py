@@ -48,7 +48,7 @@ def process_frame(
     points = step("geometry", to_world, image, lens, mounting)
     labels = step("segmentation", segment, config.segmentation, image, points, config.segments, tracks)
     segments = step("segments", measure_segments, labels, points, image, lens, mounting, config.segments)
-    tracks = step("tracking", update_tracks, tracks, segments, image.time_s, config.tracking)
+    tracks = step("tracking", update_tracks, tracks, segments, image.time_s, config.tracking, ego)
     tracks = step("classification", classify, tracks, ego, config.classification, segments)
     decision = step("decision", decide, tracks, ego, config.decision)
     return Frame(raw, image, labels, segments, tracks, decision)
@@ -68,7 +68,7 @@ def warm_up(capture: Capture, config: Config) -> None:
     segments = measure_segments(np.ones(shape, np.int32), points, image, lens, config.mounting, config.segments)
     tracks = Tracks.empty()
     for time_s in (0.0, 0.1):
-        tracks = update_tracks(tracks, segments, time_s, config.tracking)
+        tracks = update_tracks(tracks, segments, time_s, config.tracking, capture.ego)
         tracks = classify(tracks, capture.ego, config.classification, segments)
         decide(tracks, capture.ego, config.decision)
 

@@ -216,8 +216,25 @@ class TrackStatus(IntEnum):
     COASTING = 2
 
 
+class Refused(IntEnum):
+    """What the tracker did not use: nothing; a frame of the time of the last one; a late one; its tracks so far."""
+
+    NOTHING = 0
+    REPEATED = 1
+    LATE = 2
+    CLOCK_SET_BACK = 3
+
+
 STATE = ("x", "vx", "ax", "y", "vy", "ay", "z", "vz", "az")
 """Order of the state vector (K-KAL-01): m, m/s, m/s2 in vehicle axes."""
+MEMORY = (
+    *("log_width", "log_height", "log_fill", "log_width_variance", "log_height_variance", "log_fill_variance"),
+    *("reliability", "process_noise", "merged", "parts"),
+)
+"""Columns of `Tracks.memory`: running mean and variance of the logarithms of width (m), height (m) and fill (pixels
+times
+squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the process
+noise, number of the group that is seen as one segment (0: none), frames in a row in which it was seen in parts."""
 POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]
 CLASSES = ("unknown", "vru", "vehicle", "obstacle")
 """Object classes (K-CLS-01): vulnerable road user, vehicle, obstacle."""
@@ -269,6 +286,20 @@ class Track:
         return "" if self.action_probability is None else ACTIONS[int(np.argmax(self.action_probability))]
 
 
+@dataclass(frozen=True)
+class Ego:
+    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear.
+
+    braking: whether it brakes for an object already, so that the decision does not flicker.
+    """
+
+    time_s: float = float("nan")
+    speed_mps: float | None = None
+    yaw_rate_radps: float = 0.0
+    forward: bool = True
+    braking: bool = False
+
+
 @value
 class Tracks(Rows):
     """All tracks after one frame: the whole memory of the system, handed back into the next step.
@@ -284,6 +315,9 @@ class Tracks(Rows):
     nis (N,): normalised innovation squared of the last update (3 degrees of freedom), NaN where there was none.
     mode_probability (N, K), mode_state (N, K, 9), mode_covariance (N, K, 9, 9): the K modes of an interacting multiple
         model, of which state and covariance are the mean; K = 0 where one motion model does.
+    memory (N, 10): what only the tracker needs, see `MEMORY`; None where it has not seen the tracks yet.
+    ego: own motion that the velocities are relative to; None before the first frame.
+    refused: `Refused`. ignored: segments of the last frame whose position or covariance was not finite.
     """
 
     track_id: Ints
@@ -306,6 +340,10 @@ class Tracks(Rows):
     next_id: int = 1
     class_memory: Floats | None = None
     action_probability: Floats | None = None
+    memory: Floats | None = None
+    ego: Ego | None = None
+    refused: int = 0
+    ignored: int = 0
 
     @classmethod
     def empty(cls) -> Tracks:
@@ -349,20 +387,6 @@ class Tracks(Rows):
 
     def __iter__(self) -> Iterator[Track]:
         return (self[i] for i in range(len(self)))
-
-
-@dataclass(frozen=True)
-class Ego:
-    """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear.
-
-    braking: whether it brakes for an object already, so that the decision does not flicker.
-    """
-
-    time_s: float = float("nan")
-    speed_mps: float | None = None
-    yaw_rate_radps: float = 0.0
-    forward: bool = True
-    braking: bool = False
 
 
 class Side(IntEnum):

@@ -13,6 +13,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - tracking_models, tracking_tuning: the motion models side by side; process and pixel noise of the thesis' filter
 - honesty: whether what is stated of collisions holds, over simulated drives
 - classification: rules and trained trees side by side
+- tracking_crowds: identities of people who hide each other, merge and part; its scenes and its peers
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - cw_scattering, cw_motion, cw_flying, cw_hdr, cw_multipath: and what its correction leaves; plates: scenes
 - cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
@@ -60,6 +61,7 @@ from rangecam.studies.pulsed_saturation import pulsed_saturation
 from rangecam.studies.pulsed_scenes import pulsed_scenes
 from rangecam.studies.pulsed_sensor import pulsed_sensor
 from rangecam.studies.study import Claim, Panel, Picture, Series, Study, as_json, table, verdicts
+from rangecam.studies.tracking_crowds import tracking_crowds
 from rangecam.studies.tracking_models import tracking_models
 from rangecam.studies.tracking_tuning import tracking_tuning
 from rangecam.studies.unwrapping import unwrapping
@@ -87,6 +89,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "tracking-models": tracking_models,
     "tracking-tuning": tracking_tuning,
     "honesty": honesty,
+    "tracking-crowds": tracking_crowds,
     "cw-imperfections": cw_imperfections,
     "cw-calibration": cw_calibration,
     "cw-scattering": cw_scattering,

@@ -19,6 +19,8 @@ MODELS: dict[str, MotionSettings] = {
     "constant acceleration": MotionSettings(model="constant_acceleration", drift_mps2=np.sqrt(10.0)),
     "Singer": MotionSettings(model="singer", drift_mps2=4.0, memory_s=0.5),
     "the thesis (step)": MotionSettings(model="wiener_acceleration", step_mps2=1.0),
+    "coordinated turn": MotionSettings(model="coordinated_turn", drift_mps2=np.sqrt(10.0)),
+    "adaptive velocity": MotionSettings(model="constant_velocity", velocity_drift_mps=0.5, adapt_s=0.3),
     "Singer, level": MotionSettings(model="singer", drift_mps2=4.0, memory_s=0.5, vertical_share=0.02),
     "interacting": MotionSettings(
         modes=(

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rangecam.tracking.filter import GONE, Seen, complete, left_over
 from rangecam.tracking.settings import TrackingSettings
-from rangecam.types import CLASSES, Ints, Tracks, TrackStatus
+from rangecam.tracking.shape import first_memory, shapes
+from rangecam.types import CLASSES, Floats, Ints, Tracks, TrackStatus
 
 
 def delete(tracks: Tracks) -> Tracks:
@@ -17,14 +19,14 @@ def delete(tracks: Tracks) -> Tracks:
     return _map(lambda values: values[stays], tracks)
 
 
-def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings) -> Tracks:
+def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: TrackingSettings) -> Tracks:
     """Return the tracks, and a new one for each finite segment that none took: at rest until seen to move.
 
-    took (N',): index of the segment of each track before any ended.
+    took (N',): index of the segment of each track before any ended; rules: `filter.RULES`.
     """
-    label, position, covariance, size, near, n_pixels = seen
+    label, position, covariance, size, near, n_pixels = seen[:6]
     R, first = np.empty_like(covariance), np.empty_like(label)
-    complete(covariance, size, settings.position_sigma_m**2, settings.extent_sigma**2, R)
+    complete(covariance, size, seen[10], rules, R)
     first = first[: left_over(took, position, R, first)]
     position = position[first]
     n, count = len(first), len(settings.motion.modes)
@@ -54,10 +56,10 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
         mode_probability=np.full((n, count), 1 / max(count, 1)),
         mode_state=np.repeat(state[:, None], count, axis=1),
         mode_covariance=np.repeat(P[:, None], count, axis=1),
-        time_s=tracks.time_s,
-        next_id=tracks.next_id + n,
+        memory=first_memory(shapes(seen)[first], settings.shape_sigma),
     )
-    return _map(lambda born, lived: np.concatenate((lived, born)), new, tracks)
+    together = _map(lambda lived, born: np.concatenate((lived, born)), tracks, new)
+    return replace(together, next_id=tracks.next_id + n)
 
 
 def _map(function: Callable[..., Any], tracks: Tracks, *others: Tracks) -> Tracks:

@@ -13,11 +13,26 @@ class TrackingSettings:
     """How tracks are born, live and die."""
 
     motion: MotionSettings = MotionSettings()
-    association: Literal["global", "by_age"] = "global"
-    """global: the best pairing as a whole; by_age: the oldest track chooses first (the thesis)."""
+    frame: Literal["vehicle", "ground"] = "vehicle"
+    """vehicle: objects are expected to keep their motion relative to the vehicle; ground: that over the ground, which
+    takes the own speed and yaw rate. Either way states are relative to the vehicle, in its present axes."""
+    rear_axle_m: float = 0.0
+    """x of the rear axle in vehicle axes, whose velocity points straight ahead. For the frame ground."""
+    association: Literal["global", "greedy", "by_age", "joint_probabilistic"] = "global"
+    """global: the best pairing as a whole; greedy: the best pair first; by_age: the track of the highest priority
+    (age, pixels and reliability) chooses first (the thesis); joint_probabilistic: where tracks compete, each takes
+    every segment in its gate by the probability that it is its own."""
+    distance: Literal["mahalanobis", "euclidean"] = "mahalanobis"
+    """mahalanobis: measured in standard deviations of the innovation; euclidean: in metres."""
+    euclidean_gate_m: Positive = 1.0
+    """Radius of the gate where the distance is euclidean, in place of that of `gate_probability`."""
     gate_probability: Annotated[float, Interval(gt=0, le=1)] = 0.999
     """Share of true measurements that lie in the gate around the predicted position. 1: hardly any gate, a thousand
     standard deviations wide."""
+    detection_probability: Annotated[float, Interval(gt=0, lt=1)] = 0.9
+    """How often an object that is there is seen. For joint_probabilistic."""
+    clutter_density_per_m3: Positive = 0.01
+    """Segments that belong to no object, in a frame. For joint_probabilistic."""
     speed_sigma_mps: Positive = 5.0
     """How fast new objects may be: their velocity starts as 0 with this standard deviation, along each axis."""
     acceleration_sigma_mps2: Positive = 3.0
@@ -26,6 +41,9 @@ class TrackingSettings:
     """Error of a measured position that does not average out, added to the measurement's own covariance."""
     extent_sigma: NonNegative = 0.05
     """Wander of the centroid over an extended object: standard deviation as a share of the object's size."""
+    cut_sigma: NonNegative = 0.29
+    """The same, beside it, where the image's edge or something nearer cuts an object short: 1 over the root
+    of 12 is that of missing anything, evenly, up to as much as is seen."""
     frame_time_sigma_s: NonNegative = 0.0
     """Jitter of the frames' time stamps; it blurs the position of a moving object along its way."""
     confirm_hits: PositiveInt = 3
@@ -34,10 +52,26 @@ class TrackingSettings:
     """... within its first frames, this many; otherwise it is dropped."""
     max_misses: NonNegativeInt = 10
     """A confirmed track is deleted when missed more often than this in a row."""
+    max_misses_vru: NonNegativeInt | None = None
+    """The same for one that is most probably a vulnerable road user; none: as any other."""
+    max_misses_vehicle: NonNegativeInt | None = None
+    """The same for a vehicle; none: as any other."""
+    max_misses_obstacle: NonNegativeInt | None = None
+    """The same for an obstacle; none: as any other."""
     max_position_sigma_m: Positive = 2.0
     """A track is deleted when its position, along any axis, is less certain than this: the limit for long gaps."""
     max_late_s: NonNegative = 1.0
     """A frame older than the tracks by up to this is late and ignored; one older still means that the camera's clock
     was set back, and tracking starts anew."""
     shape_weight: Fraction = 0.3
-    """Weight of the newest size, nearest point and pixel count in their running means."""
+    """Weight of the newest size, nearest point and pixel count in their running means, and in those of the shape."""
+    use_shape: bool = True
+    """Whether tracks that compete for segments are told apart by width, height and fill, too (K-FUT-05)."""
+    shape_sigma: Positive = 0.3
+    """How much they differ from frame to frame, as the standard deviation of their logarithms, before that is known of
+    a track itself."""
+    recognise_merges: bool = True
+    """Whether a segment that is as large as two tracks together is taken for both of them, and segments that together
+    are as large as one track for its parts (K-FUT-06)."""
+    max_parts_frames: NonNegativeInt = 10
+    """An object seen in parts for more frames in a row than this is no longer one."""

@@ -1,0 +1,388 @@
+"""Competing tracks: joint probabilities, priorities, shape, merges and splits, own motion, turns, noise that adapts."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from rangecam.brake import DecisionSettings, decide
+from rangecam.collision import CorridorSettings
+from rangecam.motion import MOTION, Mode, MotionSettings
+from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
+from rangecam.tracking.association import NO_PAIR, priorities
+from rangecam.tracking.filter import turning
+from rangecam.tracking.joint import by_belief_propagation, marginals, of_cluster
+from rangecam.types import CLASSES, MEMORY, Cut, Ego, Segments, Tracks, TrackStatus
+
+PLAIN = TrackingSettings(position_sigma_m=0.0, extent_sigma=0.0)
+GROUP, NOISE = MEMORY.index("merged"), MEMORY.index("process_noise")
+
+
+def seen(
+    places: object, width: object = 0.5, height: object = 1.7, variance: float = 4e-4, cut: object = 0
+) -> Segments:
+    z = np.asarray(places, float).reshape(-1, 3)
+    n = len(z)
+    size = np.stack([np.full(n, 0.2), np.broadcast_to(width, n), np.broadcast_to(height, n)], axis=1)
+    columns, rows = np.maximum(size[:, 1] / 0.05, 1).astype(int), np.maximum(size[:, 2] / 0.05, 1).astype(int)
+    return Segments(
+        label=np.arange(1, n + 1),
+        position_m=z,
+        covariance_m2=np.tile(np.eye(3) * variance, (n, 1, 1)),
+        size_m=size,
+        near_m=z[:, 0] - 0.1,
+        n_pixels=columns * rows,
+        box=np.stack([0 * rows, 0 * rows, rows, columns], axis=1),
+        range_m=np.linalg.norm(z, axis=1),
+        sigma_range_m=np.full(n, 0.05),
+        amplitude=np.full(n, 10.0),
+        cut=np.broadcast_to(np.asarray(cut, np.uint8), n),
+        nearest_m=z,
+    )
+
+
+NOTHING = seen(np.zeros((0, 3)))
+
+
+def follow(frames: list[Segments], settings: TrackingSettings = PLAIN, dt: float = 0.05) -> list[Tracks]:
+    steps, tracks = [], Tracks.empty()
+    for k, segments in enumerate(frames):
+        tracks = update_tracks(tracks, segments, k * dt, settings)
+        steps.append(tracks)
+    return steps
+
+
+# -- joint probabilistic ----------------------------------------------------------------------------------------------
+
+
+def enumerated(log_ratio: np.ndarray) -> np.ndarray:
+    """Marginals by brute force: every joint event, its weight, and who is whose in it."""
+    n, m = log_ratio.shape
+    total, weights = 0.0, np.zeros((n, m))
+    for event in itertools.product(range(-1, m), repeat=n):
+        pairs = [(i, j) for i, j in enumerate(event) if j >= 0]
+        if len({j for _, j in pairs}) == len(pairs):
+            weight = float(np.exp(sum(log_ratio[i, j] for i, j in pairs)))
+            total += weight
+            for pair in pairs:
+                weights[pair] += weight
+    return weights / total
+
+
+@st.composite
+def clusters(draw: st.DrawFn) -> np.ndarray:
+    n, m = draw(st.integers(1, 4)), draw(st.integers(1, 4))
+    value = st.one_of(st.just(-np.inf), st.floats(-8, 8))
+    return np.array(draw(st.lists(value, min_size=n * m, max_size=n * m)), float).reshape(n, m)
+
+
+@given(clusters())
+def test_the_joint_probabilities_are_those_of_every_event_enumerated(log_ratio: np.ndarray) -> None:
+    np.testing.assert_allclose(of_cluster(log_ratio), enumerated(log_ratio), rtol=1e-9, atol=1e-12)
+
+
+@given(st.lists(st.floats(-6, 6), min_size=5, max_size=5))
+def test_without_a_loop_belief_propagation_is_exact(values: list[float]) -> None:
+    chain = np.full((3, 3), -np.inf)
+    chain[[0, 0, 1, 1, 2], [0, 1, 1, 2, 2]] = values
+    np.testing.assert_allclose(by_belief_propagation(chain), enumerated(chain), rtol=1e-6, atol=1e-9)
+
+
+def test_where_events_are_too_many_the_probabilities_are_nearly_the_exact_ones() -> None:
+    log_ratio = np.random.default_rng(1).normal(0, 2, (5, 5))
+    exact = of_cluster(log_ratio)
+    approximate = of_cluster(log_ratio, largest=3)
+    assert 0 < abs(exact - approximate).max() < 0.1
+
+
+def test_only_tracks_that_compete_share_segments() -> None:
+    cost = np.array([[0.0, 1.0, NO_PAIR], [1.0, 0.0, NO_PAIR], [NO_PAIR, NO_PAIR, 2.0]])
+    weights = marginals(cost, 0.9, 0.999, 0.01)
+    assert (weights[2] == 0).all()
+    scale = 0.9 / 0.01 / (1 - 0.9 * 0.999) / (2 * np.pi) ** 1.5
+    expected = enumerated(np.log(scale) - cost[:2, :2] / 2)
+    np.testing.assert_allclose(weights[:2, :2], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("modes", [(), (Mode(model="constant_velocity"), Mode())])
+def test_a_blended_update_is_the_mixture_of_the_updates_by_each_segment(modes: tuple[Mode, ...]) -> None:
+    settings = dataclasses.replace(
+        PLAIN,
+        association="joint_probabilistic",
+        use_shape=False,
+        recognise_merges=False,
+        motion=MotionSettings(modes=modes),
+    )
+    start = follow([seen([5, 0, 0])] * 6, settings)[-1]
+    both = seen([[5, 0.05, 0], [5, -0.03, 0]], variance=2e-3)
+    blended = update_tracks(start, both, start.time_s + 0.05, settings)
+    alone = [
+        update_tracks(start, each, start.time_s + 0.05, settings)
+        for each in (seen([5, 0.05, 0], variance=2e-3), seen([5, -0.03, 0], variance=2e-3), NOTHING)
+    ]
+    cost = []
+    for one in alone[:2]:
+        S = alone[2].covariance[0][::3, ::3] + 2e-3 * np.eye(3)
+        cost.append(one.nis[0] + np.linalg.slogdet(S)[1])
+    first = marginals(np.array([cost]), settings.detection_probability, settings.gate_probability, 0.01)[0]
+    weight = np.array([*first, 1 - first.sum()])
+    states = np.array([one.state[0] for one in alone])
+    mean = weight @ states
+    np.testing.assert_allclose(blended.state[0], mean, rtol=0, atol=1e-9)
+    apart = states - mean
+    P = sum(w * (one.covariance[0] + np.outer(a, a)) for w, one, a in zip(weight, alone, apart, strict=True))
+    np.testing.assert_allclose(blended.covariance[0], P, rtol=0, atol=1e-9)
+    assert np.isnan(blended.nis[0])
+
+
+@pytest.mark.parametrize("name", sorted(ASSOCIATION))
+def test_a_thousand_segments_at_once_neither_hang_nor_grow(name: str) -> None:
+    rng, settings = np.random.default_rng(5), dataclasses.replace(PLAIN, association=name)  # type: ignore[arg-type]
+    tracks, counts = Tracks.empty(), []
+    for k in range(5):
+        crowd = seen(rng.uniform([5, -40, 0], [85, 40, 0.5], (1000, 3)), variance=1e-2)
+        tracks = update_tracks(tracks, crowd, 0.05 * k, settings)
+        counts.append(len(tracks))
+        assert np.isfinite(tracks.state).all()
+        assert np.isfinite(tracks.covariance).all()
+    assert max(counts) <= 5000
+    for k in range(5, 60):
+        tracks = update_tracks(tracks, NOTHING, 0.05 * k, settings)
+    assert len(tracks) == 0
+
+
+# -- priority, distance, shape ----------------------------------------------------------------------------------------
+
+
+def test_age_pixels_and_reliability_raise_the_priority_alike() -> None:
+    memory = np.ones((4, len(MEMORY)))
+    memory[3, MEMORY.index("reliability")] = 2.0
+    value = priorities(np.array([5, 10, 5, 5]), np.array([20.0, 20.0, 40.0, 20.0]), memory)
+    np.testing.assert_allclose(value[1:] - value[0], np.log(2))
+
+
+def test_the_cheapest_pair_goes_first_where_the_method_is_greedy() -> None:
+    cost = np.array([[1.0, 2.0], [0.0, 9.0]])
+    np.testing.assert_array_equal(ASSOCIATION["greedy"](cost, np.zeros(2)), [1, 0])
+    np.testing.assert_array_equal(ASSOCIATION["greedy"](np.array([[1.0], [0.0]]), np.zeros(2)), [-1, 0])
+
+
+@pytest.mark.parametrize(("off_m", "taken"), [(0.39, 1), (0.41, 0)])
+def test_the_euclidean_gate_is_a_sphere_whatever_the_noise(off_m: float, taken: int) -> None:
+    settings = dataclasses.replace(PLAIN, distance="euclidean", euclidean_gate_m=0.4, recognise_merges=False)
+    for variance in (1e-6, 1.0):
+        start = update_tracks(Tracks.empty(), seen([5, 0, 0], variance=variance), 0.0, settings)
+        place = np.array([5, 0, 0]) + off_m * np.array([0.6, 0.48, 0.64])
+        assert int(update_tracks(start, seen(place, variance=variance), 1e-3, settings).segment[0]) == taken
+
+
+def test_shape_tells_apart_who_cannot_be_told_apart_by_place() -> None:
+    apart = seen([[8, -0.3, 0], [8, 0.3, 0]], width=[0.8, 0.3], variance=1e-2)
+    swapped = seen([[8, -0.05, 0], [8, 0.05, 0]], width=[0.3, 0.8], variance=1e-2)
+    last = {}
+    for use_shape in (True, False):
+        settings = dataclasses.replace(PLAIN, use_shape=use_shape, speed_sigma_mps=1.0)
+        last[use_shape] = update_tracks(follow([apart] * 8, settings)[-1], swapped, 0.6, settings).segment.tolist()
+    assert last == {True: [2, 1], False: [1, 2]}
+
+
+# -- merges and splits ------------------------------------------------------------------------------------------------
+
+
+def meeting(gap_m: float) -> Segments:
+    """Two people beside each other; nearer than their widths they are one segment."""
+    wide, narrow = 0.6, 0.4
+    low, high = -gap_m / 2 - wide / 2, gap_m / 2 + narrow / 2
+    if gap_m > (wide + narrow) / 2 + 0.03:
+        return seen([[7, -gap_m / 2, 0.9], [7, gap_m / 2, 0.8]], width=[wide, narrow], height=[1.9, 1.6])
+    return seen([7, -0.1 * gap_m, 0.88], width=high - low, height=1.9)
+
+
+def test_two_who_meet_walk_together_and_part_keep_their_identities() -> None:
+    gaps = np.interp(np.arange(120), [0, 30, 80, 119], [2.0, 0.48, 0.48, 2.2])
+    steps = follow([meeting(gap) for gap in gaps], TrackingSettings(max_misses=5))
+    together = steps[60]
+    assert together.status.tolist() == [TrackStatus.COASTING] * 2
+    assert (together.memory[:, GROUP] == 1).all()  # type: ignore[index]
+    np.testing.assert_allclose(together.state[:, 3], [-0.24, 0.24], atol=0.08)
+    last = steps[-1]
+    assert last.track_id.tolist() == [1, 2]
+    np.testing.assert_allclose(last.state[:, 3], [-1.1, 1.1], atol=0.1)
+    np.testing.assert_allclose(last.size_m[:, 1], [0.6, 0.4], atol=0.05)
+    assert (last.memory[:, GROUP] == 0).all()  # type: ignore[index]
+
+
+def test_without_recognition_the_same_meeting_loses_one_of_them() -> None:
+    gaps = np.interp(np.arange(120), [0, 30, 80, 119], [2.0, 0.48, 0.48, 2.2])
+    steps = follow([meeting(gap) for gap in gaps], TrackingSettings(max_misses=5, recognise_merges=False))
+    assert steps[-1].track_id.tolist() != [1, 2]
+
+
+def test_an_object_in_two_parts_for_a_few_frames_stays_one_track() -> None:
+    whole = seen([7, 0, 0.9], width=0.6)
+    parts = seen([[7, -0.2, 0.9], [7, 0.2, 0.9]], width=0.2)
+    steps = follow([whole] * 10 + [parts] * 6 + [whole] * 5, TrackingSettings())
+    assert [len(step) for step in steps] == [1] * len(steps)
+    np.testing.assert_allclose(steps[15].state[0, 3], 0.0, atol=0.02)
+    alone = follow([whole] * 10 + [parts] * 6, TrackingSettings(recognise_merges=False))
+    assert len(alone[-1]) > 1
+
+
+def test_parts_that_stay_apart_become_two() -> None:
+    whole, parts = seen([7, 0, 0.9], width=0.6), seen([[7, -0.2, 0.9], [7, 0.2, 0.9]], width=0.2)
+    last = follow([whole] * 10 + [parts] * 12, TrackingSettings(max_parts_frames=4))[-1]
+    assert (last.status == TrackStatus.CONFIRMED).sum() == 2
+
+
+def test_what_is_cut_short_says_less_of_the_centre_and_nothing_of_the_size() -> None:
+    start = follow([seen([7, 0, 0.9], width=0.6)] * 10)[-1]
+    after = {
+        cut: update_tracks(start, seen([7, 0.02, 0.9], width=0.3, cut=cut), 0.5, PLAIN)
+        for cut in (0, int(Cut.LEFT), int(Cut.TOP))
+    }
+    assert after[Cut.LEFT].covariance[0, 3, 3] > 1.5 * after[0].covariance[0, 3, 3]
+    assert after[Cut.TOP].covariance[0, 6, 6] > after[0].covariance[0, 6, 6]
+    assert after[Cut.LEFT].size_m[0, 1] == pytest.approx(0.6)
+    assert after[0].size_m[0, 1] < 0.55
+
+
+# -- life -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "lives"), [("unknown", 3), ("vru", 5), ("vehicle", 8), ("obstacle", 1)])
+def test_each_class_coasts_as_long_as_is_set_for_it(name: str, lives: int) -> None:
+    settings = dataclasses.replace(
+        PLAIN, max_misses=3, max_misses_vru=5, max_misses_vehicle=8, max_misses_obstacle=1, max_position_sigma_m=99.0
+    )
+    start = follow([seen([9, 0, 0])] * 5, settings)[-1]
+    tracks = dataclasses.replace(start, class_probability=np.eye(4)[[CLASSES.index(name)]])
+    frames = 0
+    while len(tracks):
+        tracks, frames = update_tracks(tracks, NOTHING, tracks.time_s + 0.01, settings), frames + 1
+    assert frames == lives + 1
+
+
+@pytest.mark.parametrize("distance_m", [0.5, 2.0, 8.0])
+def test_what_a_new_track_is_given_for_its_speed_never_brakes(distance_m: float) -> None:
+    rule = DecisionSettings(corridor=CorridorSettings(width_m=2.0), min_object_px=1.0)
+    tracks = update_tracks(Tracks.empty(), seen([distance_m, 0, 0.5]), 0.0, PLAIN)
+    assert not decide(tracks, Ego(speed_mps=15.0), rule).brake  # tentative
+    known = update_tracks(Tracks.empty(), seen([distance_m, 0, 0.5]), 0.0, dataclasses.replace(PLAIN, confirm_hits=1))
+    assert known.status[0] == TrackStatus.CONFIRMED
+    assert not decide(known, Ego(), rule).brake  # its speed is 0, whatever its standard deviation
+
+
+def test_nothing_at_all_and_measurements_without_noise_give_no_number_that_is_none() -> None:
+    tracks = follow([NOTHING, seen([5, 0, 0], variance=0.0)] * 3 + [seen([5, 0, 0], variance=0.0)] * 4, dt=1e-9)[-1]
+    assert np.isfinite(tracks.state).all()
+    assert np.isfinite(tracks.covariance).all()
+
+
+# -- motion -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("w", [0.0, 1e-4, 0.3, -2.0])
+def test_the_turn_is_the_solution_of_its_differential_equation(w: float) -> None:
+    F, dF, T = np.empty((3, 3)), np.empty((3, 3)), 0.4
+    turning(T, w, F, dF)
+    np.testing.assert_allclose(F, expm(T * np.array([[0, 1, 0], [0, 0, 1], [0, -w * w, 0]])), atol=1e-9)
+    above, below, unused = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    turning(T, w + 1e-5, above, unused)
+    turning(T, w - 1e-5, below, unused)
+    np.testing.assert_allclose(dF, (above - below) / 2e-5, atol=1e-6)
+
+
+def turn(t: float, rate: float = 0.8) -> np.ndarray:
+    """State of an object that circles at 4 m/s."""
+    a, r = rate * t, 4 / rate
+    place, speed = r * np.array([np.sin(a), 1 - np.cos(a)]), 4 * np.array([np.cos(a), np.sin(a)])
+    pull = 4 * rate * np.array([-np.sin(a), np.cos(a)])
+    return np.array([10 + place[0], speed[0], pull[0], place[1], speed[1], pull[1], 0, 0, 0])
+
+
+def test_a_predicted_turn_goes_round_and_its_covariance_is_that_of_a_linearised_one() -> None:
+    settings = dataclasses.replace(PLAIN, motion=MotionSettings(model="coordinated_turn"), max_position_sigma_m=1e3)
+    start = follow([seen([10, 0, 0])] * 3, settings)[-1]
+    P = np.diag([1e-4, 1e-6, 1e-6] * 3)
+    known = dataclasses.replace(start, state=turn(0.0)[None], covariance=P[None])
+    T = 1.0
+    after = update_tracks(known, NOTHING, known.time_s + T, settings)
+    np.testing.assert_allclose(after.state[0], turn(T), atol=1e-4)
+    straight = dataclasses.replace(settings, motion=MotionSettings())
+    assert abs(update_tracks(known, NOTHING, known.time_s + T, straight).state[0] - turn(T)).max() > 0.3
+
+    def moved(state: np.ndarray) -> np.ndarray:
+        tracks = dataclasses.replace(known, state=state[None])
+        return update_tracks(tracks, NOTHING, known.time_s + T, settings).state[0]
+
+    J = np.stack([(moved(turn(0) + d) - moved(turn(0) - d)) / 2e-5 for d in 1e-5 * np.eye(9)], axis=1)
+    expected = J @ P @ J.T + np.kron(np.eye(3), MOTION["coordinated_turn"](T, settings.motion)[1])
+    np.testing.assert_allclose(after.covariance[0], expected, rtol=1e-5, atol=1e-6)
+
+
+def test_a_turn_is_a_mode_of_an_interacting_model_and_wins_on_a_circle() -> None:
+    modes = Mode(model="constant_velocity", velocity_drift_mps=0.1), Mode(model="coordinated_turn", drift_mps2=0.5)
+    settings = dataclasses.replace(PLAIN, motion=MotionSettings(modes=modes))
+    frames = [seen(turn(0.05 * k)[::3], variance=1e-4) for k in range(40)]
+    tracks = follow(frames, settings)[-1]
+    assert tracks.mode_probability[0, 1] > 0.8
+    np.testing.assert_allclose(tracks.state[0, [1, 4]], turn(39 * 0.05)[[1, 4]], atol=0.2)
+
+
+def test_process_noise_follows_the_innovations_up_down_and_no_further_than_set() -> None:
+    rng = np.random.default_rng(2)
+    motion = MotionSettings(model="constant_velocity", velocity_drift_mps=0.3, adapt_s=0.3, adapt_limit=50.0)
+    settings = dataclasses.replace(PLAIN, motion=motion, gate_probability=1 - 1e-12)
+    factor = {}
+    for drift in (0.003, 0.3, 3.0):
+        v = np.cumsum(drift * np.sqrt(0.05) * rng.standard_normal((300, 3)), axis=0)
+        places = np.array([50.0, 0, 0]) + np.cumsum(0.05 * v, axis=0) + 0.02 * rng.standard_normal((300, 3))
+        steps = follow([seen(place) for place in places], settings)
+        factor[drift] = float(np.mean([np.log(step.memory[0, NOISE]) for step in steps[100:]]))  # type: ignore[index]
+    assert factor[0.003] < -1.0
+    assert abs(factor[0.3]) < 1.0
+    assert factor[3.0] > 2.5
+    assert all(abs(value) <= np.log(50.0) + 1e-9 for value in factor.values())
+    still = follow([seen(place) for place in places], dataclasses.replace(PLAIN, motion=MotionSettings()))[-1]
+    assert still.memory[0, NOISE] == 1.0  # type: ignore[index]
+
+
+# -- own motion -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rear_axle_m", [0.0, -2.5])
+@pytest.mark.parametrize("modes", [(), (Mode(model="constant_velocity"), Mode(model="coordinated_turn"))])
+def test_over_the_ground_a_pole_stands_for_a_car_that_turns_and_brakes(
+    modes: tuple[Mode, ...], rear_axle_m: float
+) -> None:
+    motion = MotionSettings(model="constant_velocity", velocity_drift_mps=0.1, modes=modes)
+    still = {}
+    for frame in ("ground", "vehicle"):
+        settings = dataclasses.replace(
+            PLAIN, motion=motion, frame=frame, rear_axle_m=rear_axle_m, gate_probability=1 - 1e-12
+        )  # type: ignore[arg-type]
+        tracks, axle, heading, speed, worst = Tracks.empty(), np.zeros(2), 0.0, 12.0, 0.0
+        for k in range(40):
+            turned = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+            pole = turned @ (np.array([25.0, 3.0]) - axle) + [rear_axle_m, 0.0]
+            ego = Ego(speed_mps=speed, yaw_rate_radps=0.5)
+            tracks = update_tracks(tracks, seen([*pole, 0.5], variance=1e-4), 0.05 * k, settings, ego)
+            over_ground = tracks.state[0, [1, 4]] + [speed, -0.5 * rear_axle_m]
+            sigma = np.sqrt(tracks.covariance[0][[1, 4], [1, 4]])
+            worst = max(worst, float((abs(over_ground) / sigma).max())) if k > 15 else worst
+            for _ in range(500):  # the car's own way, in small steps
+                axle = axle + 1e-4 * speed * np.array([np.cos(heading), np.sin(heading)])
+                heading, speed = heading + 1e-4 * 0.5, speed - 1e-4 * 5.0
+        still[frame] = worst
+    assert still["ground"] < 1.0
+    assert still["vehicle"] > 3.0
+
+
+def test_without_an_own_speed_the_ground_is_that_of_the_vehicle() -> None:
+    frames = [seen([9 - 0.1 * k, 0.1, 0]) for k in range(8)]
+    ground = follow(frames, dataclasses.replace(PLAIN, frame="ground"))[-1]
+    np.testing.assert_array_equal(ground.state, follow(frames)[-1].state)
