@@ -219,14 +219,16 @@ def test_every_method_gives_probabilities_and_leaves_tentative_tracks_unknown() 
                 assert row[0].class_name == "unknown"
 
 
-def test_the_trees_know_a_car_and_a_person() -> None:
+def test_the_trees_know_a_driving_car_and_a_walking_person() -> None:
     car = {
         "size_m": np.array([[1.5, 1.8, 1.4]]),
         "n_pixels": np.array([900]),
         "box": np.array([[50, 50, 80, 92]]),
         "position_m": np.array([[8.5, 0.0, 0.75]]),
     }
-    assert seen(track(), segments_of(**car))[0].class_name == "vehicle"
+    driving = track()
+    driving.state[0, 1] = 6.0
+    assert seen(driving, segments_of(**car))[0].class_name == "vehicle"
     assert seen(track(lateral_mps=1.3, sigma_mps=0.05), segments_of())[0].class_name == "vru"
 
 

@@ -69,10 +69,10 @@ def _taken_out(grown: Any) -> Model:
     leaf = nodes["is_leaf"].astype(bool)
     return Model(
         feature=np.where(leaf, -1, nodes["feature_idx"]),
-        threshold=np.where(leaf, 0.0, nodes["num_threshold"]).astype(np.float32).astype(float),
+        threshold=np.where(leaf, 0.0, nodes["num_threshold"]),
         left=np.where(leaf, 0, nodes["left"] + start),
         right=np.where(leaf, 0, nodes["right"] + start),
-        value=np.where(leaf, nodes["value"], 0.0).astype(np.float32).astype(float),
+        value=np.where(leaf, nodes["value"], 0.0),
         roots=roots[:-1],
         base=grown._baseline_prediction.ravel().astype(float),
         temperature=1.0,
