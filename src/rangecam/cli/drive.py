@@ -22,8 +22,8 @@ Faults = Annotated[
         negative=(),
         show_default=False,
         help="Something that goes wrong in a single drive: KIND, or KIND,start_s=1.5,duration_s=0.2,value=0.1; may be "
-        "given again. Kinds: frozen, dropped, late, repeated, out_of_order, saturated, status_silence, command_silence, "
-        "wrong_magic, speed_stuck, slippery.",
+        "given again. Kinds: frozen, dropped, late, repeated, out_of_order, saturated, status_silence, "
+        "command_silence, wrong_magic, speed_stuck, slippery.",
     ),
 ]
 _RUNS, _KEPT = 100, 20
@@ -48,9 +48,7 @@ def drive(
     folder: Annotated[
         Path | None, Parameter(help="Of a campaign: where its rows are kept; it goes on there if it was cut off.")
     ] = None,
-    keep: Annotated[
-        int | None, Parameter(help="Of a campaign: record so many drives that failed; otherwise 20.")
-    ] = None,
+    keep: Annotated[int | None, Parameter(help="Of a campaign: record so many failed drives; otherwise 20.")] = None,
     real_time: Annotated[
         bool,
         Parameter(

@@ -23,6 +23,7 @@ from rangecam.pipeline import RANGING
 from rangecam.scene.paths import OwnMotion, Pose
 from rangecam.scene.render import ray_bundle, truth
 from rangecam.scene.scenario import Scenario
+from rangecam.types import Floats
 from rangecam.vehicle.dynamics import Command, Road, VehicleState, move, standing
 from rangecam.vehicle.remote import command_of
 
@@ -98,24 +99,36 @@ def first_sight(scenario: Scenario, config: Config, free: Roll, seed: int) -> fl
 
     Enough: as many pixels that the chain keeps, with a range that is right, as the brake rule asks for.
     """
-    camera, shape = config.camera, (config.camera.rows, config.camera.columns)
-    bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-    for k in range(math.ceil(free.hit_s * _LOOKS_HZ)):
-        time_s = k / _LOOKS_HZ
-        seen = truth(scenario, time_s, camera.lens, config.mounting, shape, free.own)
-        target = seen.object_id == free.hit
-        if not _enough(seen.range_m[target], config):
-            continue
-        looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, k, 3]), free.own)
-        raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, k, 2]))
-        image = clean(ranged(RANGING[config.ranging], raw, camera), camera.lens, config.mounting, config.clean, None)
-        right = target & image.valid & (np.abs(image.range_m - seen.range_m) < _GROSS_M + 3 * image.sigma_m)
-        if _enough(seen.range_m[right], config):
-            return time_s - sequence_s(camera) / 2
+    rate_hz = config.camera.frame_rate_hz
+    frames = math.ceil(free.hit_s * rate_hz)
+    stride = max(round(rate_hz / _LOOKS_HZ), 1)
+    for k in range(stride - 1, frames + stride, stride):
+        if _shows(scenario, config, free, k, seed):
+            first = next((n for n in range(max(k - stride + 1, 0), k) if _shows(scenario, config, free, n, seed)), k)
+            return first / rate_hz - sequence_s(config.camera) / 2
     return math.inf
 
 
-def _enough(ranges_m: np.ndarray, config: Config) -> bool:
+def _shows(scenario: Scenario, config: Config, free: Roll, number: int, seed: int) -> bool:
+    """Return whether frame `number` shows enough of what is hit."""
+    camera, shape, time_s = config.camera, (config.camera.rows, config.camera.columns), _time_s(config, number)
+    seen = truth(scenario, time_s, camera.lens, config.mounting, shape, free.own)
+    target = seen.object_id == free.hit
+    if not _enough(seen.range_m[target], config):
+        return False
+    bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
+    looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, number, 3]), free.own)
+    raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, number, 2]))
+    image = clean(ranged(RANGING[config.ranging], raw, camera), camera.lens, config.mounting, config.clean, None)
+    right = target & image.valid & (np.abs(image.range_m - seen.range_m) < _GROSS_M + 3 * image.sigma_m)
+    return _enough(seen.range_m[right], config)
+
+
+def _time_s(config: Config, number: int) -> float:
+    return number / config.camera.frame_rate_hz
+
+
+def _enough(ranges_m: Floats, config: Config) -> bool:
     if not ranges_m.size:
         return False
     threat = Threat(float(np.min(ranges_m)), 1.0, float(ranges_m.size))

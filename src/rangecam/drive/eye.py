@@ -1,7 +1,6 @@
 """The camera of a drive: takes its frames while the vehicle moves, and hands them over when they are read out."""
 
 import heapq
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -67,8 +66,3 @@ class Eye:
         looks = look(scenario, config, bundle, time_s, np.random.default_rng([self._seed, number, 1]), self._own)
         raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([self._seed, number]))
         return Capture(replace(raw, frame_id=number))
-
-
-def frame_period_s(config: Config) -> float:
-    """Return the time between two frames."""
-    return 1 / config.camera.frame_rate_hz if config.camera.frame_rate_hz > 0 else math.inf

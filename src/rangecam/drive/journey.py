@@ -30,7 +30,7 @@ def between(poses: list[Pose], start_s: float, step_s: float) -> Callable[[float
 
     def own(time_s: float) -> Pose:
         at = (time_s - start_s) / step_s
-        k = int(math.floor(at))
+        k = math.floor(at)
         if k < 0 or k >= len(poses) - 1:
             known, away_s = (poses[0], at * step_s) if k < 0 else (poses[-1], (at - len(poses) + 1) * step_s)
             way = known.speed_mps * away_s

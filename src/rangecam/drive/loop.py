@@ -1,7 +1,7 @@
 """The closed loop in simulated time: scene, camera, perception, brake, bus, vehicle, and the scene again.
 
 Read `drive` and you have read it. Every step of `step_s`: what the camera has read out by now is perceived; what was
-put on the bus a step before arrives; the state machine thinks; the control unit reports and obeys; the vehicle moves on.
+put on the bus a step before arrives; the state machine thinks; the control unit reports and obeys; the vehicle moves.
 The same arguments give the same drive, bit for bit: nothing asks for the time of day, and noise comes from `seed`.
 """
 
@@ -34,6 +34,7 @@ from rangecam.vehicle.sensors import discharged, measured_speed
 from rangecam.vehicle.unit import Control, UnitState, advance_unit
 
 _LONGEST_BRAKING_S = 15.0
+_LOOK_EVERY = 2  # steps from row to row of the timeline, and from one search for contacts to the next
 
 
 def drive(
@@ -65,17 +66,21 @@ def drive(
         hand = hand_of(scenario, time_s, car, vehicle, settings.driver == "lets_go" and math.isfinite(log.braked_s))
         told = _reported(car, time_s, settings.faults, log)
         unit, command, status = advance_unit(unit, time_s, to_unit, hand, told, vehicle)
-        near = nearest(scenario, time_s, poses[-1], vehicle, settings.harmless)
-        log.note(time_s, car, near.gap_m, measured_speed(told, vehicle), mind, unit, sent, status)
-        if near.gap_m <= 0:
-            hit = contact(scenario, settings, near.number, own, time_s, dt)
-            return log.finished(mind, config, settings, scenario.objects[hit.hit - 1].name, hit.impact_mps, hit.hit_s)
+        log.follow(time_s, car, mind, unit, sent, status)
+        if k % _LOOK_EVERY == 0:
+            near = nearest(scenario, time_s, poses[-1], vehicle, settings.harmless)
+            log.note(time_s, car, near.gap_m, measured_speed(told, vehicle), mind, unit)
+            if near.gap_m <= 0:
+                hit = contact(scenario, settings, near.number, own, time_s, _LOOK_EVERY * dt)
+                name = scenario.objects[hit.hit - 1].name
+                return log.finished(mind, config, settings, name, hit.impact_mps, hit.hit_s)
         if _over(time_s, scenario, settings, car, log):
             break
         to_mind, to_unit = _through_bus(status, sent, time_s, settings.faults)
         slippery = active(settings.faults, time_s, "slippery")
         car = move(car, command, dt, vehicle, Road(settings.friction if slippery is None else slippery.value))
-        car = discharged(car, vehicle, dt)
+        if k % _LOOK_EVERY == 0:
+            car = discharged(car, vehicle, _LOOK_EVERY * dt)
         poses.append(pose_of(car))
     return log.finished(mind, config, settings)
 
@@ -123,53 +128,21 @@ class _Log:
         self.period_s = math.inf
         self._exposed_s = self._obeyed_s = self._bites_s = self._full_s = math.nan
 
-    def note(
+    def follow(
         self,
         time_s: float,
         car: VehicleState,
-        gap_m: float,
-        measured_mps: float,
         mind: Mind,
         unit: UnitState,
         sent: list[CanFrame],
         status: list[CanFrame],
     ) -> None:
-        """Take in one step."""
+        """Take in what was sent in a step, and how the brakes come on."""
         self._bus.update(frame.can_id for frame in (*sent, *status))
         takes = any(frame.can_id == MASTER_ID and frame.data[-2:] == MAGIC for frame in sent)
         self._take_overs += takes
         if takes and not math.isfinite(self.braked_s):
             self._first_take_over(time_s, mind)
-        self._follow(time_s, car, unit)
-        self.least_gap_m = min(self.least_gap_m, gap_m)
-        decision = mind.frame.decision if mind.frame is not None else None
-        x, y, _ = car.pose
-        self._rows.append(
-            (
-                time_s,
-                x,
-                y,
-                car.speed_mps,
-                float(car.motion[WHEEL]),
-                measured_mps,
-                gap_m,
-                decision.distance_m if decision is not None else math.nan,
-                float(decision is not None and decision.brake),
-                float(mind.unit.state.mode),
-                float(unit.control),
-                float(car.motion[BRAKE]),
-                float(self._take_overs),
-            )
-        )
-
-    def _first_take_over(self, time_s: float, mind: Mind) -> None:
-        self.braked_s = time_s
-        self.by_fault = mind.unit.state.mode is Mode.FAULT
-        self.reason = mind.unit.state.cause.reason
-        if not self.by_fault and mind.frame is not None:
-            self._exposed_s = mind.frame.raw.time_s
-
-    def _follow(self, time_s: float, car: VehicleState, unit: UnitState) -> None:
         if not math.isfinite(self.braked_s):
             return
         braking = float(car.motion[BRAKE])
@@ -183,6 +156,37 @@ class _Log:
             self.stood_s = math.inf
         elif not math.isfinite(self.stood_s):
             self.stood_s = time_s
+
+    def _first_take_over(self, time_s: float, mind: Mind) -> None:
+        self.braked_s = time_s
+        self.by_fault = mind.unit.state.mode is Mode.FAULT
+        self.reason = mind.unit.state.cause.reason
+        if not self.by_fault and mind.frame is not None:
+            self._exposed_s = mind.frame.raw.time_s
+
+    def note(
+        self, time_s: float, car: VehicleState, gap_m: float, measured_mps: float, mind: Mind, unit: UnitState
+    ) -> None:
+        """Add a row to the timeline."""
+        self.least_gap_m = min(self.least_gap_m, gap_m)
+        decision = mind.frame.decision if mind.frame is not None else None
+        x, y, _ = car.pose
+        row = (
+            time_s,
+            x,
+            y,
+            car.speed_mps,
+            float(car.motion[WHEEL]),
+            measured_mps,
+            gap_m,
+            decision.distance_m if decision is not None else math.nan,
+            float(decision is not None and decision.brake),
+            float(mind.unit.state.mode),
+            float(unit.control),
+            float(car.motion[BRAKE]),
+            float(self._take_overs),
+        )
+        self._rows.append(row)
 
     def finished(
         self,

@@ -16,7 +16,7 @@ from rangecam.report.template import page, section
 def html(drive: Drive, description: str) -> bytes:
     """Return the page of a drive."""
     text = (
-        "Speed over ground, of the wheels, and as the bus reports it (a wheel that has locked says nothing of the way); "
+        "Speed over ground, of the wheels, and as the bus reports it (a wheel that has locked tells nothing of it); "
         "true gap to the nearest thing beside the free way that perception saw; who drives, and how far the brakes are "
         "applied. Red: the vehicle obeys the bus."
     )

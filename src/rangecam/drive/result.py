@@ -118,9 +118,7 @@ def describe(drive: Drive) -> str:
     else:
         lines.append("take-over  none")
     if math.isfinite(drive.latency.total_s):
-        lines.append(
-            f"latency    {1000 * drive.latency.total_s:.0f} ms from the exposure to the first effect of the brakes"
-        )
+        lines.append(f"latency    {1000 * drive.latency.total_s:.0f} ms from exposure to first effect of the brakes")
     if math.isfinite(drive.stood_s):
         lines.append(f"standstill at {drive.stood_s:.3f} s")
     if drive.hit:

@@ -32,21 +32,7 @@ def measure_segments(
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
     known = _known(lens, mounting, shape, settings)
-    _measure(
-        labels,
-        np.ascontiguousarray(points),
-        *planes,
-        why,
-        known,
-        position_m,
-        size_m,
-        sigmas,
-        means,
-        n_pixels,
-        box,
-        nearest_m,
-        cut,
-    )
+    _measure(labels, np.ascontiguousarray(points), *planes, why, known, position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut)
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,

@@ -7,7 +7,6 @@ from numba import njit
 
 from rangecam.types import Cut, Why
 
-
 @njit(cache=True, nogil=True)
 def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limits: Any, cut: Any) -> None:
     """Write the bits of `Cut` of each segment: (N,) uint8; a kernel.

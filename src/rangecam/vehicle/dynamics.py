@@ -27,7 +27,7 @@ STEP_S = 1e-3
 
 
 class Command(NamedTuple):
-    """What the actuators are told: parts of full throttle and of full brakes (0..1), of full lock to the left (-1..1)."""
+    """What the actuators are told: parts of full throttle and brakes (0..1), of full lock to the left (-1..1)."""
 
     drive: float = 0.0
     brake: float = 0.0
@@ -52,8 +52,8 @@ class VehicleState:
 
     motion (14,): x, y (m) and heading (rad) of its reference point on the ground; speed, that of its wheels (m/s, in
     the direction of travel); brake (0..1); direction (1 forward, -1 backward); way (m); way since the last hole of the
-    speed sensor (m), its time, and the time between the last two (s); acceleration (m/s2); yaw rate (rad/s); work of the
-    motor for each kilogram (J/kg).
+    speed sensor (m), its time, and the time between the last two (s); acceleration (m/s2); yaw rate (rad/s); work of
+    the motor for each kilogram (J/kg).
     command: what the actuators do now. pending: commands on their way to them, with the time of their arrival.
     charge_as: taken from the battery. heat_c (5,): motor, its control, battery, electronics, outside, degrees Celsius.
     """
@@ -149,7 +149,7 @@ def _integrate(m: Any, start_s: float, dt_s: float, told: Any, facts: Any, grip:
         yaw = max(min(yaw, grip / v), -grip / v) if v > 0 else 0.0
         left = math.sqrt(max(grip * grip - (v * yaw) ** 2, 0.0))
         motor = drive * full_drive * max(1 - w / top_speed, 0.0)
-        holds = full_brake * (b0 + b) / 2
+        holds = full_brake * ((b0 + b) / 2 if math.isfinite(rise) else b)
         force, w = _tyre(motor, holds, v, w, left, driven, inertia, antilock, h)
         v1 = _slower(v, force, rolling, drag, h)
         used = h

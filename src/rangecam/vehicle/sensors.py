@@ -1,10 +1,10 @@
-"""What a vehicle measures of itself: speed from the holes of a disc, voltages, currents, temperatures (S-VEH-02, -03)."""
+"""What a vehicle measures of itself: speed by the holes of a disc, voltages, currents, heat (S-VEH-02, S-VEH-03)."""
 
 import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from rangecam.vehicle.dynamics import HOLE_S, PERIOD_S, SPEED, WHEEL, VehicleState
+from rangecam.vehicle.dynamics import HOLE_S, PERIOD_S, WHEEL, VehicleState
 from rangecam.vehicle.settings import Vehicle
 
 
@@ -86,8 +86,3 @@ def discharged(state: VehicleState, vehicle: Vehicle, dt_s: float) -> VehicleSta
         for warm, loss, tau_s, k in zip(state.heat_c[:4], losses_w, _HEATING_S, vehicle.heating_k_per_w, strict=True)
     ]
     return replace(state, charge_as=state.charge_as + battery_a * dt_s, heat_c=(*heat, outside))
-
-
-def slips(state: VehicleState) -> bool:
-    """Return whether the wheels turn at another speed than the way says."""
-    return bool(state.motion[WHEEL] != state.motion[SPEED])

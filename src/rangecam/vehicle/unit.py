@@ -39,8 +39,10 @@ class Control(IntEnum):
 
 @dataclass(frozen=True)
 class UnitState:
-    """The memory of the unit. taken: the last take-over, at `taken_s`; sent: when status and remote values were last
-    sent; hand: the remote values that were. ignored: frames that were no message of the car's.
+    """The memory of the unit.
+
+    taken: the last take-over, at `taken_s`. status_s, remote_s: when status and remote values were last sent; hand: the
+    remote values that were. ignored: frames that were no message for the vehicle.
     """
 
     control: Control = Control.REMOTE
@@ -55,10 +57,10 @@ class UnitState:
 def advance_unit(
     state: UnitState, time_s: float, frames: Sequence[CanFrame], hand: Hand, car: VehicleState, vehicle: Vehicle
 ) -> tuple[UnitState, Command, list[CanFrame]]:
-    """Return the state at `time_s` after `frames` that came since the last call, what the actuators are told, and what
-    is sent: both status messages each `status_period_s`, the remote values whenever new ones come from the radio.
+    """Return the state after `frames` that came since the last call, what the actuators are told, and what is sent.
 
-    The same arguments give the same answer; nothing is raised.
+    Both status messages are sent each `status_period_s`, the remote values when new ones come from the radio. The same
+    arguments give the same answer; nothing is raised.
     """
     for frame in frames:
         state = _heard(state, time_s, frame)

@@ -64,7 +64,7 @@ def _speeds(ax: Axes, threats: Sequence[Mapping[str, Any]]) -> None:
 def latency(rows: Rows) -> bytes:
     """Draw how long each step from light to brake took: mean, and the range that holds 90 %."""
     figure, (ax,) = _panels(1)
-    begins, names = 0.0, []
+    begins, names = 0.0, list[str]()
     for number, (one, other, name) in enumerate(STAGES):
         took = 1000 * finite(rows, one, other)
         if took.size:

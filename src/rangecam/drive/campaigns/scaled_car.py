@@ -18,14 +18,14 @@ PRESET = "scaled_car"
 def draw(rng: np.random.Generator, seed: int, layers: Mapping[str, Any]) -> Trial:
     """Return one drive towards a box, a person or something that crosses; of ten one has a fault in it."""
     config, vehicle = configured(PRESET, layers), VEHICLES["scaled_car"]
-    speed, friction, rho = uniform(rng, 1.0, 5.5), uniform(rng, 0.3, 0.7), uniform(rng, 0.1, 0.9)
+    speed, friction, rho = uniform(rng, 0.7, 5.0), uniform(rng, 0.3, 0.7), uniform(rng, 0.1, 0.9)
     target = one_of(rng, "box", "box", "box", "box", "person", "child", "crossing box", "slow car")
     trigger_m = config.decision.margin * stopping_distance(speed, 0.0, config.decision)
     away_m = round(min(max(trigger_m + 1.2 * speed, 3.0), 12.0), 3)
     thing, target_mps, offset, width = _target(rng, target, away_m, speed, rho, vehicle.width_m)
     hits_s = away_m / (speed - target_mps) if target == "slow car" else away_m / speed
     fault = a_fault(rng, hits_s) if rng.random() < 0.1 else None
-    objects = (thing, *_room(rng, away_m + 3.0 + width))
+    objects = (thing, *_room(rng, away_m + target_mps * hits_s + 3.0 + width))
     scenario = scene(
         f"scaled-car {target}",
         round(hits_s + 1.5, 2),

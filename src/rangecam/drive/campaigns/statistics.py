@@ -9,6 +9,7 @@ from scipy.stats import beta, chi2
 
 from rangecam.drive.campaigns.row import badness, failed
 from rangecam.drive.result import plain
+from rangecam.types import Floats
 
 Rows = Sequence[Mapping[str, Any]]
 _WORST = 20
@@ -119,7 +120,8 @@ def _told(row: Mapping[str, Any]) -> dict[str, Any]:
     return {key: plain(row[key]) if isinstance(row[key], float) else row[key] for key in _TOLD}
 
 
-def finite(rows: Iterable[Mapping[str, Any]], one: str, other: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def finite(rows: Iterable[Mapping[str, Any]], one: str, other: str) -> Floats:
     """Return the differences other - one of two columns where both are known."""
     values = np.array([float(row[other]) - float(row[one]) for row in rows])
-    return values[np.isfinite(values)]
+    known: Floats = values[np.isfinite(values)]
+    return known
