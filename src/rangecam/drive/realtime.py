@@ -22,9 +22,10 @@ from rangecam.can.codec import CarStatus1
 from rangecam.config import Config
 from rangecam.drive.contact import nearest
 from rangecam.drive.mind import at_work, brake_settings
-from rangecam.drive.roles import LOOPBACK, ROLES, Job, _arrived, _listening
+from rangecam.drive.roles import ROLES, Job, arrived, listening
 from rangecam.drive.settings import DriveSettings
 from rangecam.errors import DataError
+from rangecam.io.udp.address import LOOPBACK
 from rangecam.scene.paths import Pose
 from rangecam.scene.scenario import Scenario
 from rangecam.vehicle.unit import Control
@@ -64,8 +65,8 @@ class Rig:
     ) -> None:
         self._context = multiprocessing.get_context("spawn")
         self._stack = ExitStack()
-        ports = [_free_port() for _ in range(2)]
-        self._reports = _listening(self._stack, 0)
+        ports = _free_port(), _free_port()
+        self._reports = listening(self._stack, 0)
         channel = f"239.{ports[0] % 200 + 20}.{ports[1] // 256}.{ports[1] % 256}"  # none of another rig's
         self.job = Job(
             scenario,
@@ -73,11 +74,14 @@ class Rig:
             settings,
             seed,
             clock(),
-            *ports,
+            ports[0],
+            ports[1],
             self._reports.getsockname()[1],
             channel,
             self._context.Value("i", 0, lock=False),
             self._context.Value("d", math.inf, lock=False),
+            clock,
+            sleep,
         )
         self._bus = self._stack.enter_context(Bus("udp_multicast", channel))
         self._sleep = sleep
@@ -112,7 +116,7 @@ class Rig:
         """
         end_s = self.job.now_s() + seconds
         while (now_s := self.job.now_s()) < end_s:
-            for report in _arrived(self._reports):
+            for report in arrived(self._reports):
                 self._take(report, now_s)
             while (heard := self._bus.receive()) is not None:
                 if isinstance(heard.message, CarStatus1):

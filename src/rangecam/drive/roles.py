@@ -3,7 +3,8 @@
     camera --UDP stream--> perception --CAN--> car --pose, by UDP--> camera
 
 What a role needs is in a `Job`; it runs until `over` is set, and may be killed or frozen at any moment. Everybody
-counts seconds on one monotonic clock from `epoch_s` on. Until `go_s` the driver waits at the start and the scene stands still.
+counts seconds on one monotonic clock from `epoch_s` on. Until `go_s` the driver waits at the start and the scene stands
+still.
 """
 
 import json
@@ -56,8 +57,8 @@ _BRAKED = Hand(-1.0)
 class Job:
     """What all roles share.
 
-    Ports are on this machine: of the stream, of poses for the camera, of reports; `channel` is that of the bus. over and
-    go_s are shared memory: not 0 when all is over; when the driver starts, inf before.
+    Ports are on this machine: of the stream, of poses for the camera, of reports; `channel` is that of the bus. over
+    and go_s are shared memory: not 0 when all is over; when the driver starts, inf before.
     """
 
     scenario: Scenario
@@ -91,13 +92,13 @@ def camera(job: Job) -> None:
     )
     half_s, at = sequence_s(config.camera) / 2, (0.0, pose_of(starting(job.scenario, job.settings)))
     with ExitStack() as stack:
-        poses = _listening(stack, job.pose_port)
+        poses = listening(stack, job.pose_port)
         stream = stack.enter_context(Stream(f"udp://{LOOPBACK}:{job.stream_port}", config, link_mbit=LINK_MBIT))
         while not job.over.value:
             k = math.ceil((job.now_s() - half_s) / period_s)
             middle_s = k * period_s
             job.sleep(max(0.0, middle_s + half_s - job.now_s()))
-            for text in _arrived(poses):
+            for text in arrived(poses):
                 at = text["time_s"], Pose(*text["pose"])
 
             def own(
@@ -207,7 +208,8 @@ ROLES: dict[str, Callable[[Job], None]] = {"camera": camera, "perception": perce
 """Roles by name, each for a process of its own."""
 
 
-def _listening(stack: ExitStack, port: int) -> socket.socket:
+def listening(stack: ExitStack, port: int) -> socket.socket:
+    """Return a socket that hears a port of this machine (0: a free one) and never waits; the stack closes it."""
     found = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     found.bind((LOOPBACK, port))
     found.setblocking(False)
@@ -222,7 +224,7 @@ def _tell(out: socket.socket, port: int, values: dict[str, Any]) -> None:
     out.sendto(json.dumps(values).encode(), (LOOPBACK, port))
 
 
-def _arrived(waiting: socket.socket) -> list[dict[str, Any]]:
+def arrived(waiting: socket.socket) -> list[dict[str, Any]]:
     """Return what has come since the last call; it comes from our own processes."""
     found = []
     while True:
