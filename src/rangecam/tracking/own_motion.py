@@ -49,13 +49,13 @@ def carried(tracks: Tracks, ego: Ego, dt_s: float, rear_axle_m: float) -> tuple[
         new[..., 1:5:3] -= own1
         return new
 
-    changed = {
-        "state": moved(tracks.state),
-        "covariance": turn @ tracks.covariance @ turn.T,
-        "mode_state": moved(tracks.mode_state),
-        "mode_covariance": turn @ tracks.mode_covariance @ turn.T,
-    }
-    return replace(tracks, **changed), own1
+    return replace(
+        tracks,
+        state=moved(tracks.state),
+        covariance=turn @ tracks.covariance @ turn.T,
+        mode_state=moved(tracks.mode_state),
+        mode_covariance=turn @ tracks.mode_covariance @ turn.T,
+    ), own1
 
 
 def _motion(ego: Ego) -> tuple[float, float]:
