@@ -52,7 +52,8 @@ def learned(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments
     probability = np.empty((tracks.status.size, len(CLASSES)))
     model = load_model(settings.model)
     given = tracks.status, tracks.class_probability, features, *_arrays(model), settings.unknown_below
-    _classify(*given, probability)
+    kernel: Any = _classify  # as mypy cannot count arrays that a function returns
+    kernel(*given, probability)
     return replace(tracks, class_probability=probability, class_memory=memory)
 
 
@@ -60,7 +61,8 @@ def probabilities(features: Floats, model: Model) -> Floats:
     """Return what the model says of features (N, F): the probability of each class but unknown, (N, 3)."""
     told = np.empty((len(features), _TOLD))
     given = np.ascontiguousarray(features, float), *_arrays(model)
-    _probabilities(*given, told)
+    kernel: Any = _probabilities
+    kernel(*given, told)
     return told
 
 

@@ -45,7 +45,8 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     shape = planes[0].shape
     images, why = np.empty((3, *shape), np.float32), np.empty(shape, np.uint8)
     limits, settings = _sample_limits(camera, planes[0].dtype), _kernel_settings(camera)
-    _four_phase(*planes, limits, settings, images, why)  # a tuple would take longer to be handed over
+    c0, c90, c180, c270 = planes  # one by one: a tuple would take longer to be handed over
+    _four_phase(c0, c90, c180, c270, limits, settings, images, why)
     if camera.pseudo_rows:
         why[: camera.pseudo_rows] = _SENSOR_FLAG
     return RangeImage(raw.time_s, images[0], images[1], images[2], why)

@@ -54,7 +54,7 @@ def priorities(age: Ints, n_pixels: Floats, memory: Floats) -> Floats:
     counts as much as twice as many pixels, or light twice as far above the noise of the range.
     """
     reliability = memory[:, MEMORY.index("reliability")]
-    priority: Floats = sum(np.log(np.maximum(each, 1e-6)) for each in (age, n_pixels, reliability))
+    priority: Floats = np.log(np.maximum((age, n_pixels, reliability), 1e-6)).sum(axis=0)
     return priority
 
 

@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rangecam.tracking.filter import Seen
 from rangecam.tracking.settings import TrackingSettings
@@ -74,11 +75,11 @@ def regroup(scene: Scene, took: Ints, max_parts_frames: int) -> Grouped | None:
     segment says of it where the others are; when the segments part, the usual association has each take its own.
     """
     took = took.copy()
-    usable = np.isfinite(scene.seen[1]).all(axis=1) & np.isfinite(scene.R).all(axis=(1, 2))
+    usable = np.asarray(np.isfinite(scene.seen[1]).all(axis=1) & np.isfinite(scene.R).all(axis=(1, 2)))
     lives = scene.status != TrackStatus.TENTATIVE
     group, parts = np.zeros(len(took)), lasting_parts(scene.memory, max_parts_frames)
     rows: list[tuple[object, ...]] = []
-    used = np.zeros(len(usable), bool)
+    used = np.zeros(len(usable), np.bool_)
     for j, members in _merged(scene, took, usable, lives):
         took[took == j] = -1
         for i, row in zip(members, _held(scene, j, members), strict=True):
@@ -107,7 +108,9 @@ def lasting_parts(memory: Floats, max_parts_frames: int) -> Floats:
     return lasting
 
 
-def _merged(scene: Scene, took: Ints, usable: Ints, lives: Ints) -> list[tuple[int, tuple[int, ...]]]:
+def _merged(
+    scene: Scene, took: Ints, usable: NDArray[np.bool_], lives: NDArray[np.bool_]
+) -> list[tuple[int, tuple[int, ...]]]:
     """Return the segments that show several tracks, with the tracks: none of them elsewhere, together of its size."""
     alone = np.flatnonzero(lives & ((took < 0) | np.isin(took, np.flatnonzero(usable))))
     taken_by_living = np.bincount(took[lives & (took >= 0)], minlength=len(usable)) > 0
@@ -236,7 +239,7 @@ def _furthest(reach: Floats, P: Floats) -> int:
 
 
 def _split(
-    scene: Scene, took: Ints, usable: Ints, lives: Ints, max_parts_frames: int
+    scene: Scene, took: Ints, usable: NDArray[np.bool_], lives: NDArray[np.bool_], max_parts_frames: int
 ) -> list[tuple[int, tuple[int, ...]]]:
     """Return the tracks that are seen in parts, with the segments that together are more like them than any alone."""
     found: list[tuple[int, tuple[int, ...]]] = []

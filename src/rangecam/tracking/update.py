@@ -33,7 +33,8 @@ from rangecam.tracking.shape import memory_of, pair_shapes, shapes
 from rangecam.types import MEMORY, Ego, Floats, Ints, Refused, Segments, Tracks, TrackStatus
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
-_NO_WEIGHTS, _STANDING = np.zeros((0, 0)), np.zeros(2)
+_NO_WEIGHTS: Floats = np.zeros((0, 0))
+_STANDING: Floats = np.zeros(2)
 _GROUP, _PARTS = MEMORY.index("merged"), MEMORY.index("parts")
 
 _UNKNOWN = Ego()
@@ -153,7 +154,8 @@ def _associated(
     shape, weights, grouped = shapes(seen), _NO_WEIGHTS, None
     if contested:
         if settings.use_shape:
-            cost = pair_shapes(cost, memory, shape, np.nonzero(cost < NO_PAIR))
+            rows, columns = np.nonzero(cost < NO_PAIR)
+            cost = pair_shapes(cost, memory, shape, (rows, columns))
         priority = priorities(tracks.age, tracks.n_pixels, memory)
         took = ASSOCIATION[settings.association](cost, priority)
         if settings.association == "joint_probabilistic":
