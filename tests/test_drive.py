@@ -134,6 +134,19 @@ def test_json_and_lines_say_how_it_came_out() -> None:
     assert page.html(usual(), "a test").startswith(b"<!DOCTYPE html>")
 
 
+@pytest.mark.parametrize(("preset", "brakes"), [("scaled_car", True), ("scaled_car_unwrapped", False)])
+def test_a_reflector_beyond_the_unambiguous_range_needs_a_second_frequency(preset: str, brakes: bool) -> None:
+    scenario, config, settings = opened("beyond-range", preset, [])
+    found = drive(replace(scenario, duration_s=1.1), config, settings)
+    assert math.isfinite(found.braked_s) is brakes
+    assert not found.by_fault
+
+
+def test_a_car_ahead_as_fast_as_we_are_is_followed() -> None:
+    scenario, config, settings = opened("follow-car", None, [])
+    assert drive(replace(scenario, duration_s=1.5), config, settings).braked_s == math.inf
+
+
 # -- faults -----------------------------------------------------------------------------------------------------------
 
 
