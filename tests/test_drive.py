@@ -195,7 +195,7 @@ def test_timeouts_follow_the_latency_and_the_road() -> None:
     settings = replace(SETTINGS, result_after_frames=10.0)
     machine = brake_settings(coarse(), settings).machine
     assert machine.image_timeout_s == pytest.approx(latency_s(coarse(), settings) + 3 / 30)
-    assert machine.max_deceleration_mps2 == pytest.approx(0.3 * 9.81)
+    assert machine.sure_deceleration_mps2 == pytest.approx(0.3 * 9.81)
 
 
 # -- what is touched --------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field, TypeAdapter, ValidationError
 
 from rangecam import cw, processed, pulsed
-from rangecam.brake import DecisionSettings
+from rangecam.brake import BrakeSettings, DecisionSettings
 from rangecam.classify import ClassificationSettings
 from rangecam.clean import CleanSettings, shared_noise_pixels
 from rangecam.cw import CwCamera
@@ -68,6 +68,7 @@ class Config:
     tracking: TrackingSettings = TrackingSettings()
     classification: ClassificationSettings = ClassificationSettings()
     decision: DecisionSettings = DecisionSettings()
+    brake: BrakeSettings = BrakeSettings()
 
 
 def load_config(preset: str | None = None, *layers: Tree) -> Config:

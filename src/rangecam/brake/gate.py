@@ -1,7 +1,7 @@
 """The only place that forms a take-over frame. It trusts nobody: everything is checked again, on its own.
 
-The gate starts closed and must be armed. What it refuses it counts, by reason; a refusal sends nothing, and the car ends
-the control by its own timeout (E-S-25). It knows no way to accelerate or to steer.
+The gate starts closed and must be armed. What it refuses it counts, by reason; a refusal sends nothing, and the car
+ends the control by its own timeout (E-S-25). It knows no way to accelerate or to steer.
 """
 
 from collections import Counter
@@ -55,7 +55,7 @@ class CanFrame:
 
 def arm(gate: Gate) -> Gate:
     """Open the gate for causes; only a person at the command line, or a test, has reason to."""
-    return replace(gate, armed=True)
+    return replace(gate, armed=True, number=-1)
 
 
 def disarm(gate: Gate) -> tuple[Gate, CanFrame]:

@@ -4,18 +4,19 @@ Nothing here knows a camera family: samples are compared plane by plane, and wha
 `judge` says what is wrong with one image; how long that may last before the car is stopped is the machine's business.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rangecam.brake.machine import Fault, Perception
 from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
-from rangecam.types import Frame, RawFrame, TrackStatus, Why
+from rangecam.types import VELOCITY, Frame, RawFrame, TrackStatus, Why
 
-_SCENE = (Why.FLOOR, Why.OUTSIDE_AREA)
-"""Pixels with these reasons were measured well: they are left out, but they show that the lens is clear."""
-_CONSTANT = ("reference_range_m", "temperature_c", "status")
+_MEASURED = [Why.VALID, Why.FLOOR, Why.OUTSIDE_AREA]
+"""Pixels that measured something: what does not belong to an object shows as well that the lens is clear."""
+_CONSTANT = ("reference_range_m", "temperature_c", "status", "n_acc", "dark_")
+"""Planes whose names begin so may stay as they are from image to image."""
 
 
 @settings
@@ -44,9 +45,9 @@ class HealthSettings:
 class Health:
     """What was found of one image, and what the judgement of the next needs.
 
-    faults: all that is wrong, gravest first; empty for a good image. seen, saturated, near, unchanged: shares of the
-    pixels (of the samples). lateness_s: beyond the fastest image. repeats: images in a row like the one before.
-    raw: the samples judged. fastest_s: least time from exposure to arrival so far, clocks apart included.
+    faults: all that is wrong, empty for a good image. seen, saturated, near: shares of the pixels. unchanged: share of
+    the samples that are what they were. lateness_s: beyond the fastest image. repeats: images in a row like the one
+    before. raw, received_s: of this image. fastest_s: least time from exposure to arrival, clocks apart included.
     """
 
     faults: tuple[Fault, ...]
@@ -62,45 +63,38 @@ class Health:
 
 
 def judge(frame: Frame, received_s: float, before: Health | None, settings: HealthSettings) -> Health:
-    """Return the health of an image that arrived at `received_s` on our clock, after the one `before` (None: the first)."""
-    image = frame.image
-    seen = float(np.mean(np.isin(image.why, (Why.VALID, *_SCENE))))
-    saturated = float(np.mean(image.why == Why.SATURATED))
-    with np.errstate(invalid="ignore"):
-        near = float(np.mean(image.range_m < settings.near_m))
-    unchanged = 0.0 if before is None else _unchanged(frame.raw, before.raw)
-    repeats = before.repeats + 1 if before is not None and unchanged >= settings.frozen_fraction else 0
+    """Return the health of an image that arrived at `received_s` on our clock, after another one (None: the first)."""
+    why = frame.image.why
+    share = np.bincount(why.ravel(), minlength=len(Why)) / max(1, why.size)
+    seen, saturated = float(share[_MEASURED].sum()), float(share[Why.SATURATED])
+    near = np.count_nonzero(frame.image.range_m < settings.near_m) / max(1, why.size)
     took_s = received_s - frame.raw.time_s
-    fastest_s = took_s if before is None else min(took_s, _drifted(before, received_s, settings))
+    unchanged, repeats, fastest_s = 0.0, 0, took_s
+    if before is not None:
+        unchanged = _unchanged(frame.raw, before.raw, np.isin(why, _MEASURED))
+        repeats = before.repeats + 1 if unchanged >= settings.frozen_fraction else 0
+        drift_s = settings.clock_drift * max(0.0, received_s - before.received_s)
+        fastest_s = min(took_s, before.fastest_s + drift_s)
     lateness_s = took_s - fastest_s
     found = {
-        Fault.FROZEN: repeats >= settings.frozen_repeats,
         Fault.LATE: not lateness_s <= settings.max_lateness_s,
         Fault.SATURATED: saturated > settings.max_saturated,
         Fault.BLOCKED: seen < settings.min_seen or near > settings.max_near,
+        Fault.FROZEN: repeats >= settings.frozen_repeats,
     }
     faults = tuple(fault for fault, is_so in found.items() if is_so)
     return Health(faults, seen, saturated, near, unchanged, lateness_s, repeats, frame.raw, received_s, fastest_s)
 
 
-def _drifted(before: Health, received_s: float, settings: HealthSettings) -> float:
-    """Return the least time from exposure to arrival, which the drift of the clocks may have let grow since."""
-    return before.fastest_s + settings.clock_drift * max(0.0, received_s - before.received_s)
-
-
-def _unchanged(raw: RawFrame, before: RawFrame) -> float:
-    """Return the share of the samples that are what they were, 0 where the images cannot be compared.
-
-    Planes that do not change in a still scene do not count, nor do samples that are not finite.
-    """
+def _unchanged(raw: RawFrame, before: RawFrame, measured: NDArray[np.bool_]) -> float:
+    """Return the share of the samples of measured pixels that are what they were, 0 where none can be compared."""
     equal = total = 0
     for name, plane in raw.planes.items():
         old = before.planes.get(name)
-        if name.startswith(_CONSTANT) or old is None or old.shape != plane.shape:
+        if name.startswith(_CONSTANT) or old is None or not plane.shape == old.shape == measured.shape:
             continue
-        finite = np.isfinite(plane)
-        equal += int(np.count_nonzero((plane == old) & finite))
-        total += int(np.count_nonzero(finite))
+        equal += int(np.count_nonzero((plane == old) & measured))
+        total += int(np.count_nonzero(measured))
     return equal / total if total else 0.0
 
 
@@ -120,6 +114,6 @@ def perceived(frame: Frame, health: Health) -> Perception:
 
 def _scene_speed(frame: Frame) -> float | None:
     """Return the speed in m/s at which the scene comes closer: the median of at least three confirmed tracks."""
-    seen = frame.tracks.status == TrackStatus.CONFIRMED
-    closing = -frame.tracks.state[seen, 1]
-    return float(np.median(closing)) if len(closing) >= 3 and math.isfinite(float(np.median(closing))) else None
+    confirmed = frame.tracks.status == TrackStatus.CONFIRMED
+    closing_mps = -frame.tracks.state[confirmed, VELOCITY[0]]
+    return float(np.median(closing_mps)) if len(closing_mps) >= 3 else None

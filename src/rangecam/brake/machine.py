@@ -11,8 +11,11 @@ new image, every new car state and at least every 20 ms: the timeouts are exact 
 import math
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
+from typing import Annotated
 
-from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
+from annotated_types import Interval
+
+from rangecam.settings import NonNegative, Positive, PositiveInt, settings
 
 
 class Mode(IntEnum):
@@ -62,17 +65,20 @@ class MachineSettings:
     standstill_time_s: NonNegative = 0.3
     """It must stand for so long before control is given back."""
     recovery_images: PositiveInt = 10
-    """Good images in a row that end a fault, at standstill."""
+    """Good images in a row that end a fault, at standstill, while nothing else is wrong."""
     give_back_time_s: Positive = 0.2
     """The give-back message is repeated for so long; then silence, which ends the control as well (E-S-25)."""
-    brake: Fraction = 1.0
+    brake: Annotated[float, Interval(gt=0, le=1)] = 1.0
     """Share of full braking."""
     max_speed_mps: Positive = 6.0
     """A higher speed is impossible; the scaled car reaches 20 km/h = 5.56 m/s (N-S-040)."""
     max_acceleration_mps2: Positive = 10.0
     """No car gains speed faster ..."""
     max_deceleration_mps2: Positive = 10.0
-    """... or loses it faster: a wheel that does has locked."""
+    """... or loses it faster, unless its wheels lock."""
+    sure_deceleration_mps2: Positive = 2.9
+    """While we brake the car loses speed at least so fast (mu 0.3). Wheels that stop sooner may have locked: before the
+    car itself must have stopped, it does not count as standing."""
     speed_step_mps: NonNegative = 0.3
     """Allowance of both for noise and for messages that come bunched."""
     scene_speed_mps: Positive = 1.0
@@ -147,7 +153,8 @@ class BrakeState:
     cause: of the braking, or of the last one. number: calls so far.
     perception, car: the last good ones (in a fault the last ones, so that a restarted camera is taken up again).
     image_s, car_s: arrival of the last good one. image_fault, car_fault: what was wrong with the last bad one since.
-    good_images: in a row, up to as many as are needed. speed_mps: of the car, which may exceed that of its wheels.
+    good_images: in a row without a fault, up to as many as are needed.
+    speed_mps: of the car, which may exceed that of its wheels.
     standing_s: arrival of the first good car state in a row that says standstill, inf where it does not.
     released_s: when control was given back last.
     """
@@ -182,7 +189,8 @@ def _change_mode(state: BrakeState, time_s: float, settings: MachineSettings) ->
     fault = _fault(state, time_s, settings)
     if fault is not None:
         since_s = state.cause.since_s if state.mode is Mode.FAULT else time_s
-        return replace(state, mode=Mode.FAULT, cause=Cause(fault, fault.value, since_s, time_s))
+        cause = Cause(fault, fault.value, since_s, time_s)
+        return replace(state, mode=Mode.FAULT, cause=cause, good_images=0, standing_s=math.inf)
     if state.mode is Mode.USER_CONTROL:
         if not _must_stop(state, settings):
             return state
@@ -215,8 +223,9 @@ def _must_stop(state: BrakeState, settings: MachineSettings) -> bool:
 
 
 def _take_image(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> BrakeState:
-    """Return the state after a look at the newest image, which may be that of the last call. A bad one changes little:
-    what is good must follow the last good one, or in a fault the last one.
+    """Return the state after a look at the newest image, which may be that of the last call.
+
+    A good one must follow the last good one; in a fault, the last one.
     """
     new = inputs.perception
     if new is None or new == state.perception:
@@ -241,18 +250,14 @@ def _image_fault(new: Perception, last: Perception, time_s: float) -> Fault | No
 
 
 def _take_car(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> BrakeState:
-    """Return the state after a look at the newest car state, which may be that of the last call (as `_take_image`)."""
+    """Return the state after a look at the newest car state, in the same way."""
     new = inputs.car
     if new is None or new == state.car:
         return state
     fault = _car_fault(new, state, inputs, settings)
     if fault is not None and state.mode is not Mode.FAULT:
         return replace(state, car_fault=fault, standing_s=math.inf)
-    if fault is Fault.SPEED_IMPOSSIBLE:
-        return replace(state, car=replace(new, speed_mps=state.speed_mps), car_fault=fault, standing_s=math.inf)
-    # A locked wheel stands, but its car does not: the speed falls no faster than that of any car.
-    least_mps = state.speed_mps - settings.max_deceleration_mps2 * max(0.0, new.received_s - state.car.received_s)
-    speed_mps = max(new.speed_mps, least_mps)
+    speed_mps = _own_speed(new, state, settings)
     if fault is not None:
         return replace(state, car=new, car_fault=fault, speed_mps=speed_mps, standing_s=math.inf)
     stands = speed_mps <= settings.standstill_mps
@@ -264,6 +269,16 @@ def _take_car(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> B
         speed_mps=speed_mps,
         standing_s=min(state.standing_s, new.received_s) if stands else math.inf,
     )
+
+
+def _own_speed(new: CarState, state: BrakeState, settings: MachineSettings) -> float:
+    """Return the speed in m/s of the car: that of its wheels, but while we brake no less than it must still have."""
+    if not 0 <= new.speed_mps <= settings.max_speed_mps:
+        return state.speed_mps
+    if state.mode is Mode.USER_CONTROL:
+        return new.speed_mps
+    seconds = max(0.0, new.received_s - state.car.received_s)
+    return max(new.speed_mps, state.speed_mps - settings.sure_deceleration_mps2 * seconds)
 
 
 def _car_fault(new: CarState, state: BrakeState, inputs: Inputs, settings: MachineSettings) -> Fault | None:

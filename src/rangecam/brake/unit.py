@@ -1,11 +1,12 @@
 """The decision unit: machine, gate and friction in one step. What calls it owns the clock and the bus."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from rangecam.brake.friction import Friction, FrictionSettings, observe
 from rangecam.brake.gate import CanFrame, Gate, GateSettings, let_pass
 from rangecam.brake.health import HealthSettings
-from rangecam.brake.machine import BrakeState, Inputs, MachineSettings, Request, advance
+from rangecam.brake.machine import Action, BrakeState, Inputs, MachineSettings, Request, advance
+from rangecam.errors import UsageError
 from rangecam.settings import settings
 
 
@@ -17,6 +18,14 @@ class BrakeSettings:
     machine: MachineSettings = MachineSettings()
     gate: GateSettings = GateSettings()
     friction: FrictionSettings = FrictionSettings()
+
+    def __post_init__(self) -> None:
+        """Refuse a gate that would fall silent in the middle of a stop."""
+        if not self.gate.cause_age_s > self.machine.image_timeout_s:
+            raise UsageError(
+                f"gate.cause_age_s = {self.gate.cause_age_s:g}: must exceed machine.image_timeout_s = "
+                f"{self.machine.image_timeout_s:g}, or the gate would refuse a stop that the machine holds"
+            )
 
 
 @dataclass(frozen=True)
@@ -35,5 +44,6 @@ def step(unit: Unit, inputs: Inputs, settings: BrakeSettings) -> tuple[Unit, Req
     """
     state, request = advance(unit.state, inputs, settings.machine)
     gate, frame = let_pass(unit.gate, request, inputs.time_s, settings.gate)
-    friction = observe(unit.friction, state, inputs.time_s, settings.friction)
-    return replace(unit, state=state, gate=gate, friction=friction), request, frame
+    braking = frame is not None and request.action is Action.BRAKE
+    friction = observe(unit.friction, state.car, braking, inputs.time_s, settings.friction)
+    return Unit(state, gate, friction), request, frame

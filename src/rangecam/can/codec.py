@@ -1,7 +1,7 @@
-"""Messages of the car's bus to bytes and back (Steinbäck 2016, appendix A.4). Values are SI; docs/can.md decides what is open.
+"""Messages of the car's bus to bytes and back (Steinbäck 2016, appendix A.4); docs/can.md decides what is open there.
 
-cantools packs and scales after `messages.dbc`; what it lets pass silently (a wrong magic number, values beyond their
-limits, codes without a name) is refused here, always as a `CodecError` that says why.
+Values are SI. cantools packs and scales after `messages.dbc`; what it lets pass silently (a wrong magic number, values
+beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
 """
 
 from dataclasses import dataclass
@@ -37,6 +37,7 @@ class Reason(StrEnum):
     UNKNOWN_ID = "unknown identifier"
     LENGTH = "wrong length"
     RANGE = "value out of range"
+    UNREADABLE = "not readable at all"
 
 
 class CodecError(DataError):
@@ -49,7 +50,7 @@ class CodecError(DataError):
 
 @dataclass(frozen=True)
 class CarStatus1:
-    """0xA0, table A.2. speed_mps >= 0 by the wheels, without direction. power_w ends at 65.535, which means "or more" (E-S-31)."""
+    """0xA0, table A.2. speed_mps: of the wheels, without direction. power_w: 65.535 means that or more (E-S-31)."""
 
     motor_current_a: float
     battery_voltage_v: float
@@ -122,7 +123,11 @@ FIELDS: dict[str, tuple[type[Message], dict[str, str]]] = {
     ),
 }
 """Messages by their name in the DBC file: our value, and the signal that each of its fields is."""
-_NAMES = {kind: name for name, (kind, _) in FIELDS.items()}
+PERIOD_S = 0.02
+"""Of every message that is sent periodically (S-CAN-07); the DBC file says so as well."""
+TIMEOUT_S = 0.1
+"""Without a take-over for longer than this the car gives control back by itself (E-S-25)."""
+_NAMES = {kind: name for name, (kind, _) in FIELDS.items()} | {GiveBack: "MasterID"}
 _CONSTANT = {"MasterID": {"Magic": MAGIC_NUMBER, "Reserved": 0}, "DeviceID2": {"AutoReserved": 0}}
 
 
@@ -134,6 +139,11 @@ def database() -> Any:
     return cantools.database.load_string(files("rangecam.can").joinpath("messages.dbc").read_text("utf-8"), "dbc")
 
 
+def name_of(message: Message) -> str:
+    """Return the name of a message in the DBC file."""
+    return _NAMES[type(message)]
+
+
 def encode(message: Message) -> tuple[int, bytes]:
     """Return identifier and data bytes of a message. Raises CodecError for a value that its bytes cannot hold.
 
@@ -141,7 +151,7 @@ def encode(message: Message) -> tuple[int, bytes]:
     """
     if isinstance(message, GiveBack):
         return MASTER_ID, GIVE_BACK_DATA
-    name = _NAMES[type(message)]
+    name = name_of(message)
     values = {signal: float(getattr(message, field)) for field, signal in FIELDS[name][1].items()}
     known = database().get_message_by_name(name)
     if name == "DeviceID1":
@@ -174,7 +184,5 @@ def decode(can_id: int, data: bytes) -> Message:
 def _check_range(known: Any, signal: str, value: float) -> None:
     limits = known.get_signal_by_name(signal)
     if not limits.minimum <= value <= limits.maximum:
-        raise CodecError(
-            Reason.RANGE,
-            f"{known.name}.{signal} = {value:g}: from {limits.minimum:g} to {limits.maximum:g} {limits.unit or ''}".rstrip(),
-        )
+        allowed = f"{limits.minimum:g} to {limits.maximum:g} {limits.unit or ''}".rstrip()
+        raise CodecError(Reason.RANGE, f"{known.name}.{signal} = {value:g}: expected {allowed}")

@@ -1,4 +1,4 @@
-"""What the take-over frame is made of (Steinbäck 2016, tables A.1 and A.5). `can/messages.dbc` says the same to tools."""
+"""What the take-over frame is made of (Steinbäck 2016, tables A.1 and A.5); `messages.dbc` says it to tools."""
 
 MASTER_ID = 0x50
 """Identifier of the take-over and of the give-back: the lowest of all, so that it wins the bus."""

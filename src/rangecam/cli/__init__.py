@@ -13,7 +13,7 @@ from cyclopts import CycloptsError
 from rangecam.cli.app import app
 from rangecam.errors import RangecamError
 
-COMMANDS = ("demo", "run", "simulate", "calibrate", "design", "study", "tune", "drive", "bench", "repair")
+COMMANDS = ("demo", "run", "simulate", "calibrate", "design", "study", "tune", "drive", "bench", "repair", "can")
 """Modules of this package, one a command; importing one registers it."""
 
 for _name in COMMANDS:
