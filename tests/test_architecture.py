@@ -17,8 +17,8 @@ COMPOSERS = {
     "io/sources.py": "opens simulated scenarios as a source",
     "bench/works.py": "measures the families' stages beside peers",
 }
-# Studies and designs characterise the families, drives simulate the whole; nothing of the chain imports them.
-FORWARD = ("pulsed/", "cw/", "processed", "cameras/", "scene/", "studies/", "design/", "drive/")
+# Studies, designs, training and drives simulate with the families themselves; nothing of the chain imports them.
+FORWARD = ("pulsed/", "cw/", "processed", "cameras/", "scene/", "studies/", "design/", "training/", "drive/")
 
 
 def imports(path: Path) -> set[str]:

@@ -12,10 +12,21 @@ from rangecam.config import load_config, preset_names
 from rangecam.errors import UsageError
 from rangecam.geometry import Lens, Mounting, rays
 from rangecam.scene.bodies import CAR, PERSON
-from rangecam.scene.paths import EgoMotion, EgoPhase, Path, Phase, WayPoint, ego_pose, motion
-from rangecam.scene.render import GROUND, ego_at, ray_bundle, render, truth
+from rangecam.scene.paths import (
+    EgoMotion,
+    EgoPhase,
+    Path,
+    Phase,
+    WayPoint,
+    direction_rad,
+    ego_pose,
+    motion,
+    travelled_m,
+)
+from rangecam.scene.render import GROUND, ego_at, ego_of, ray_bundle, render, truth
 from rangecam.scene.scenario import Scenario, load_scenario, parse_scenario, scenario_names
-from rangecam.scene.shapes import Box, Cylinder, SceneObject
+from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject
+from rangecam.scene.weather import Cloud, Weather, clouds
 
 LENS, LEVEL, SHAPE = Lens(horizontal_fov_deg=60.0), Mounting(z_m=1.0), (12, 16)
 NARROW = Lens(horizontal_fov_deg=1.0)
@@ -353,3 +364,117 @@ def test_an_unknown_scenario_is_refused_with_the_nearest_name_and_all_names():
 def test_a_faulty_scenario_is_refused_with_what_is_wrong(text, message):
     with pytest.raises(UsageError, match=message):
         parse_scenario("mine", text)
+
+
+# ---- own motion with turns, moving parts
+
+
+def test_an_own_motion_of_constant_speed_and_yaw_rate_is_a_circle():
+    ego = EgoMotion(speed_mps=5.0, phases=(EgoPhase(duration_s=60.0, yaw_rate_radps=0.5),))
+    for time_s in (0.05, 1.0, np.pi, 4 * np.pi, 30.0):
+        pose = ego_pose(ego, time_s)
+        np.testing.assert_allclose(
+            (pose.x_m, pose.y_m), (10 * np.sin(0.5 * time_s), 10 - 10 * np.cos(0.5 * time_s)), atol=1e-9
+        )
+        assert pose.heading_rad == pytest.approx(0.5 * time_s)
+        assert ego_at(ego, time_s).yaw_rate_radps == 0.5
+
+
+@given(w=st.floats(-2, 2), a=st.floats(-1, 3), t=st.floats(0.1, 3))
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_the_own_way_is_the_integral_of_the_own_velocity(w, a, t):
+    ego = EgoMotion(speed_mps=4.0, phases=(EgoPhase(duration_s=4.0, acceleration_mps2=a, yaw_rate_radps=w),))
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    at = t * (1 + nodes) / 2
+    way = (weights * t / 2 * (4 + a * at)) @ np.exp(1j * w * at)
+    np.testing.assert_allclose((ego_pose(ego, t).x_m, ego_pose(ego, t).y_m), (way.real, way.imag), atol=1e-8)
+
+
+def test_braking_to_standstill_ends_the_turn_and_before_time_zero_it_drives_straight():
+    ego = EgoMotion(speed_mps=2.0, phases=(EgoPhase(duration_s=5.0, acceleration_mps2=-1.0, yaw_rate_radps=0.1),))
+    assert ego_pose(ego, 4.0).heading_rad == pytest.approx(0.2)
+    assert ego_at(ego, 4.0) == replace(ego_at(ego, 9.0), time_s=4.0)
+    assert ego_pose(ego, -1.0)[:4] == pytest.approx((-2.0, 0.0, 0.0, 2.0))
+
+
+def test_truth_holds_relative_velocities_without_the_rotation_that_moves_the_coordinates():
+    ego = EgoMotion(speed_mps=6.0, phases=(EgoPhase(duration_s=9.0, yaw_rate_radps=0.3),))
+    path = Path(start_m=(15.0, 2.0, 0.0), velocity_mps=(1.0, -0.5, 0.0))
+    world, h = scenario(thing(Box(center_m=(0, 0, 1.0), size_m=(1.0, 1.0, 1.0)), path=path), ego=ego), 1e-4
+    before, here, after = (truth(world, 1.0 + d, NARROW, LEVEL, (1, 1)) for d in (-h, 0.0, h))
+    rate = (after.positions_m - before.positions_m)[0] / (2 * h)
+    np.testing.assert_allclose(rate, here.velocities_mps[0] - np.cross([0, 0, 0.3], here.positions_m[0]), atol=1e-6)
+
+
+def test_an_own_motion_from_outside_replaces_that_of_the_scenario():
+    ego = EgoMotion(speed_mps=6.0, phases=(EgoPhase(duration_s=9.0, yaw_rate_radps=0.3),))
+    box = thing(Box(center_m=(12.0, 1.0, 1.0), size_m=(1.0, 2.0, 2.0)))
+    driven = truth(scenario(box, ego=ego), 1.0, LENS, LEVEL, SHAPE)
+    told = truth(scenario(box), 1.0, LENS, LEVEL, SHAPE, lambda time_s: ego_pose(ego, time_s))
+    np.testing.assert_array_equal(driven.range_m, told.range_m)
+    np.testing.assert_array_equal(driven.velocities_mps, told.velocities_mps)
+    assert np.isfinite(driven.range_m).any()
+    assert not ego_of(ego_pose(ego, 0.0)._replace(speed_mps=-1.0), 0.0).forward
+
+
+@pytest.mark.parametrize("end_m", [(0.0, 0.0, 0.0), (0.0, 0.6, 0.0), (0.5, 0.5, 0.5), (2.0, 0.0, 0.0)])
+def test_a_rod_is_met_where_the_nearest_ball_along_it_is(end_m):
+    rod = Rod(start_m=(8.0, -0.1, 1.02), end_m=tuple(np.add((8.0, -0.1, 1.02), end_m)), radius_m=0.2)
+    middles = np.linspace(rod.start_m, rod.end_m, 20001)
+    across2 = middles[:, 1] ** 2 + (middles[:, 2] - 1.0) ** 2
+    expected = (middles[:, 0] - np.sqrt(np.maximum(0.04 - across2, 0)))[across2 < 0.04].min()
+    world = scenario(SceneObject(name="rod", rods=(rod,)))
+    view = look(world, lens=NARROW, shape=(1, 1))
+    assert view.range_m[0, 0, 0] == pytest.approx(expected, rel=1e-5)
+    assert 0 < view.cos_incidence[0, 0, 0] <= 1
+
+
+def test_legs_swing_with_the_way_and_stand_still_when_the_person_does():
+    points = (
+        WayPoint(time_s=0.0, position_m=(6.0, -1.0, 0.0), velocity_mps=(0.0, 1.4, 0.0)),
+        WayPoint(time_s=1.0, position_m=(6.0, 0.4, 0.0), velocity_mps=(0.0, 1.4, 0.0)),
+        WayPoint(time_s=2.0, position_m=(6.0, 1.0, 0.0)),
+        WayPoint(time_s=9.0, position_m=(6.0, 1.0, 0.0)),
+    )
+    person = SceneObject(name="p", body="person", follow_path=True, path=Path(waypoints=points))
+    lens, shape = Lens(horizontal_fov_deg=40.0), (120, 120)
+    widths = []
+    for time_s in (0.25, 0.5, 4.0, 6.0):
+        seen = np.isfinite(look(scenario(person), time_s, lens=lens, shape=shape).range_m[0])
+        widths.append(np.ptp(np.nonzero(seen.any(axis=0))[0]))
+    assert widths[0] > 1.5 * widths[2]
+    assert widths[2] == widths[3]
+    assert travelled_m(person.path, 1.0) == pytest.approx(1.4)
+    assert travelled_m(person.path, 9.0) == pytest.approx(2.0)
+    assert direction_rad(person.path, 5.0) == pytest.approx(np.pi / 2)
+    assert direction_rad(Path(), 5.0) == 0.0
+    later = Path(phases=(Phase(duration_s=1.0), Phase(duration_s=1.0, acceleration_mps2=(0.0, -1.0, 0.0))))
+    assert direction_rad(later, 0.5) == pytest.approx(-np.pi / 2)
+
+
+def test_scale_makes_a_child_of_a_person():
+    lens, shape = Lens(horizontal_fov_deg=20.0), (300, 300)
+
+    def height(scale):
+        person = SceneObject(name="p", body="person", scale=scale, path=Path(start_m=(8.0, 0.0, 0.0)))
+        return np.ptp(np.nonzero(np.isfinite(look(scenario(person), lens=lens, shape=shape).range_m[0]).any(axis=1))[0])
+
+    assert height(0.6) == pytest.approx(0.6 * height(1.0), rel=0.03)
+
+
+def test_a_scenario_like_another_differs_in_what_it_says():
+    mine = parse_scenario("mine", 'like = "person-and-tree"\ndescription = "mine"\nduration_s = 3.0')
+    other = load_scenario("person-and-tree")
+    assert (mine.objects, mine.duration_s, mine.description) == (other.objects, 3.0, "mine")
+    with pytest.raises(UsageError, match="unknown scenario 'person-and-tre'"):
+        parse_scenario("mine", 'like = "person-and-tre"')
+
+
+def test_a_cloud_drifts_over_the_ground_and_comes_nearer_as_we_drive():
+    weather = Weather(clouds=(Cloud(position_m=(20.0, 0.0, 2.0), velocity_mps=(0.0, 1.0, 0.0), grains=4000),))
+    pose = ego_pose(EgoMotion(speed_mps=5.0), 2.0)
+    grains = clouds(weather, 2.0, pose, np.random.default_rng(1))
+    np.testing.assert_allclose(grains.position_m.mean(axis=0), (10, 2, 2), atol=0.05)
+    np.testing.assert_allclose(grains.velocity_mps[0], (-5, 1, 0))
+    assert (grains.position_m[:, 2] > 0).all()
+    assert not grains.mirrors.any()

@@ -49,7 +49,7 @@ def process_frame(
     labels = step("segmentation", SEGMENTATION[config.segmentation], image, points, config.segments)
     segments = step("segments", measure_segments, labels, points, image, lens, mounting, config.segments)
     tracks = step("tracking", update_tracks, tracks, segments, image.time_s, config.tracking)
-    tracks = step("classification", classify, tracks, config.classification)
+    tracks = step("classification", classify, tracks, ego, config.classification, segments)
     decision = step("decision", decide, tracks, ego, config.decision)
     return Frame(raw, image, labels, segments, tracks, decision)
 
@@ -68,7 +68,8 @@ def warm_up(capture: Capture, config: Config) -> None:
     segments = measure_segments(np.ones(shape, np.int32), points, image, lens, config.mounting, config.segments)
     tracks = Tracks.empty()
     for time_s in (0.0, 0.1):
-        tracks = classify(update_tracks(tracks, segments, time_s, config.tracking), config.classification)
+        tracks = update_tracks(tracks, segments, time_s, config.tracking)
+        tracks = classify(tracks, capture.ego, config.classification, segments)
         decide(tracks, capture.ego, config.decision)
 
 

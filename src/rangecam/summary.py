@@ -11,7 +11,7 @@ import numpy as np
 from rangecam.config import Config
 from rangecam.metrics import honesty, quality_of, scored
 from rangecam.metrics.quality import Scored
-from rangecam.types import CLASSES, Capture, Decision, Floats, Frame, TrackStatus
+from rangecam.types import CLASSES, Capture, Decision, Floats, Frame, Track, TrackStatus
 
 
 class Stopwatch:
@@ -98,6 +98,8 @@ class Summary:
                 "size_m": [round(float(v), 3) for v in track.size_m],
                 "class": CLASSES[best],
                 "p_class": round(float(track.class_probability[best]), 4),
+                "action": track.action_name,
+                "p_action": _p_action(track),
             }
 
     def close(self) -> None:
@@ -133,6 +135,10 @@ class Summary:
             "digest": self._digest.hexdigest(),
             "version": __version__,
         }
+
+
+def _p_action(track: Track) -> float | None:
+    return None if track.action_probability is None else round(float(track.action_probability.max()), 4)
 
 
 def _event(decision: Decision) -> dict[str, Any]:
@@ -179,7 +185,8 @@ def count(number: int, what: str) -> str:
 
 def _describe_track(track: dict[str, Any]) -> str:
     seen = f"{track['first_s']:.2f}-{track['last_s']:.2f} s"
-    return f"           #{track['track_id']} {track['class']}: {seen}, nearest {track['nearest_m']:.2f} m"
+    what = f"{track['class']}, {track['action']}" if track["action"] else track["class"]
+    return f"           #{track['track_id']} {what}: {seen}, nearest {track['nearest_m']:.2f} m"
 
 
 def _describe_honesty(nis: dict[str, Any] | None) -> list[str]:

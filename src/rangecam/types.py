@@ -221,6 +221,8 @@ STATE = ("x", "vx", "ax", "y", "vy", "ay", "z", "vz", "az")
 POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]
 CLASSES = ("unknown", "vru", "vehicle", "obstacle")
 """Object classes (K-CLS-01): vulnerable road user, vehicle, obstacle."""
+ACTIONS = ("standing", "walking", "crossing", "approaching", "leaving")
+"""What an object does over ground; walking: it goes, in a direction between the three others."""
 
 
 @value
@@ -239,6 +241,7 @@ class Track:
     n_pixels: float
     segment: int
     class_probability: Floats
+    action_probability: Floats | None = None
 
     @property
     def position_m(self) -> Floats:
@@ -260,6 +263,11 @@ class Track:
         """The most probable class."""
         return CLASSES[int(np.argmax(self.class_probability))]
 
+    @property
+    def action_name(self) -> str:
+        """The most probable action; empty before classification."""
+        return "" if self.action_probability is None else ACTIONS[int(np.argmax(self.action_probability))]
+
 
 @value
 class Tracks(Rows):
@@ -271,6 +279,8 @@ class Tracks(Rows):
     segment (N,) int: label of the segment of this frame that the track took, 0 for none.
     class_probability (N, 4): over `CLASSES`.
     time_s: time of the last frame, NaN before the first. next_id: the next new track's number.
+    class_memory (N, F): what only the classification needs; None before it has seen the tracks.
+    action_probability (N, 5): over `ACTIONS`; None before classification.
     nis (N,): normalised innovation squared of the last update (3 degrees of freedom), NaN where there was none.
     mode_probability (N, K), mode_state (N, K, 9), mode_covariance (N, K, 9, 9): the K modes of an interacting multiple
         model, of which state and covariance are the mean; K = 0 where one motion model does.
@@ -294,6 +304,8 @@ class Tracks(Rows):
     mode_covariance: Floats
     time_s: float = float("nan")
     next_id: int = 1
+    class_memory: Floats | None = None
+    action_probability: Floats | None = None
 
     @classmethod
     def empty(cls) -> Tracks:
@@ -332,6 +344,7 @@ class Tracks(Rows):
             float(self.n_pixels[i]),
             int(self.segment[i]),
             self.class_probability[i],
+            None if self.action_probability is None else self.action_probability[i],
         )
 
     def __iter__(self) -> Iterator[Track]:

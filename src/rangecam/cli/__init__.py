@@ -13,7 +13,20 @@ from cyclopts import CycloptsError
 from rangecam.cli.app import app
 from rangecam.errors import RangecamError
 
-COMMANDS = ("demo", "run", "simulate", "calibrate", "design", "study", "tune", "drive", "bench", "repair", "can")
+COMMANDS = (
+    "demo",
+    "run",
+    "simulate",
+    "calibrate",
+    "design",
+    "study",
+    "tune",
+    "train",
+    "drive",
+    "bench",
+    "repair",
+    "can",
+)
 """Modules of this package, one a command; importing one registers it."""
 
 for _name in COMMANDS:

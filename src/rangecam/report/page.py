@@ -40,7 +40,7 @@ class Report:
         for track in confirmed:
             x, y = float(track.position_m[0]), float(track.position_m[1])
             self._trails.setdefault(track.track_id, []).append((x, y))
-            self._classes[track.track_id] = track.class_name
+            self._classes[track.track_id] = f"{track.class_name}, {track.action_name}"
         self._timeline.append(figures.moment(frame, capture.ego))
 
     def close(self) -> None:

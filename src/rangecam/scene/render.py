@@ -94,9 +94,10 @@ def truth(
     """Return what the central ray of each pixel meets, and where the objects are and how they move, relative to us.
 
     object_id is i + 1 for names[i], 0 for nothing, `GROUND` for the ground.
-    Positions p are in axes of the vehicle at that time, velocities how these coordinates change: with the vehicle at P,
-    of heading h, speed v and yaw rate w, an object at G that moves with V over ground has p = R(-h) (G - P), so
-    dp/dt = R(-h) V - (v, 0, 0) - (0, 0, w) x p. Where we turn, also what stands still moves across.
+    Positions p are in axes of the vehicle at that time. Velocities are those over ground less that of the vehicle,
+    along the same axes, as tracks hold them. With the vehicle at P, of heading h, speed v and yaw rate w, an object at
+    G that moves with V over ground has p = R(-h) (G - P) and u = R(-h) V - (v, 0, 0). Its coordinates change by dp/dt =
+    u - (0, 0, w) x p: where we turn, what stands still goes across the image without a velocity of its own.
     """
     range_m, reflectivity, _, object_id = _cast_rays(scenario, time_s, ray_bundle(lens, mounting, shape), own)
     pose = own_pose(scenario, time_s, own)
@@ -106,14 +107,13 @@ def truth(
     away = np.array([m.position_m for m in motions]).reshape(-1, 3) - (pose.x_m, pose.y_m, 0.0)
     positions = away @ into.T
     velocities = np.array([m.velocity_mps for m in motions]).reshape(-1, 3) @ into.T
-    turning = np.cross([0.0, 0.0, pose.yaw_rate_radps], positions)
     return Truth(
         range_m[0],
         reflectivity[0],
         object_id[0],
         tuple(thing.name for thing in scenario.objects),
         positions,
-        velocities - (pose.speed_mps, 0.0, 0.0) - turning,
+        velocities - (pose.speed_mps, 0.0, 0.0),
     )
 
 

@@ -11,6 +11,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - pulsed_ambient, pulsed_rain, pulsed_gating, pulsed_saturation: the environment of the pulsed camera
 - virtual: how the whole camera measures in them
 - tracking_models, tracking_tuning: the motion models side by side; process and pixel noise of the thesis' filter
+- classification: rules and trained trees side by side
 - cw_imperfections: what each imperfection of the continuous-wave camera does; trades of its settings
 - cw_scattering, cw_motion, cw_flying, cw_hdr, cw_multipath: and what its correction leaves; plates: scenes
 - cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
@@ -27,6 +28,7 @@ from rangecam.errors import UsageError, did_you_mean
 from rangecam.studies.applications import applications
 from rangecam.studies.arctangents import arctangents
 from rangecam.studies.calibration import calibration
+from rangecam.studies.classification import classification
 from rangecam.studies.cw_calibration import cw_calibration
 from rangecam.studies.cw_flying import cw_flying
 from rangecam.studies.cw_hdr import cw_hdr
@@ -77,6 +79,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "noise-fit": noise_fit,
     "eye-safety": eye_safety,
     "applications": applications,
+    "classification": classification,
     "tracking-models": tracking_models,
     "tracking-tuning": tracking_tuning,
     "cw-imperfections": cw_imperfections,

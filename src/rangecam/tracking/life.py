@@ -49,6 +49,7 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, settings: TrackingSettings)
         n_pixels=n_pixels[first].astype(float),
         segment=label[first],
         class_probability=unknown,
+        class_memory=None if tracks.class_memory is None else np.zeros((n, tracks.class_memory.shape[1])),
         nis=np.full(n, math.nan),
         mode_probability=np.full((n, count), 1 / max(count, 1)),
         mode_state=np.repeat(state[:, None], count, axis=1),

@@ -127,6 +127,7 @@ def _followed(tracks: Tracks, written: tuple[Any, ...], time_s: float) -> Tracks
         n_pixels=means[1],
         segment=counts[4],
         class_probability=tracks.class_probability,
+        class_memory=tracks.class_memory,
         nis=means[2],
         mode_probability=mode_probability,
         mode_state=mode_state,

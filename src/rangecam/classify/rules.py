@@ -1,50 +1,29 @@
-"""What a track is: a vulnerable road user, a vehicle or an obstacle, from its size, shape and motion."""
+"""What a track is by rules: a vulnerable road user, a vehicle or an obstacle, from its size, shape and motion."""
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numba import njit
 
-from rangecam.settings import Fraction, NonNegative, Positive, settings
-from rangecam.types import CLASSES, Floats, Ints, Tracks, TrackStatus
+from rangecam.classify.ground import own_velocity
+from rangecam.classify.settings import ClassificationSettings
+from rangecam.types import CLASSES, Ego, Floats, Ints, Segments, Tracks, TrackStatus
 
 
-@settings
-class ClassificationSettings:
-    """How tracks are classified. Sizes are those of full-size traffic; models need theirs."""
-
-    vru_width_m: tuple[Positive, Positive] = (0.3, 1.0)
-    """Least and greatest width of a pedestrian or cyclist."""
-    vru_height_m: tuple[Positive, Positive] = (0.8, 2.1)
-    vehicle_width_m: tuple[Positive, Positive] = (1.4, 2.6)
-    """Least and greatest width of a car or truck."""
-    vehicle_height_m: tuple[Positive, Positive] = (0.8, 4.0)
-    size_tolerance: Positive = 0.25
-    """How far a size may lie outside its limits, as a share of the nearer limit, before it speaks against the class."""
-    moving_mps: NonNegative = 0.3
-    """Lateral speed from which an object counts as moving. The own motion hides the speed along x."""
-    standing_weight: Fraction = 0.2
-    """Weight of `vru` for an object of its size that stands: it may as well be a tree or a pole."""
-    obstacle_weight: Fraction = 0.5
-    """Weight of `obstacle` for an object of any size that stands."""
-    unknown_weight: Positive = 0.2
-    """Weight of `unknown`, always."""
-    memory: Fraction = 0.8
-    """Share of the earlier class probabilities in the new ones."""
-
-
-def classify(tracks: Tracks, settings: ClassificationSettings) -> Tracks:
+def rules(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments: Segments) -> Tracks:
     """Return the tracks with new class probabilities (K-CLS-01, K-CLS-02); each row of them sums to one.
 
     A moving object as wide and high as a person is a VRU, one of the size of a car a vehicle, and whatever stands may
     be an obstacle; what fits none of these stays unknown. The weights of the classes are divided by their sum and
-    averaged over time. Tentative tracks are unknown; unseen ones keep what they were.
+    averaged over time. A person that stands cannot be told from a tree so. The segments of the frame are not needed.
     """
     probability = np.empty((tracks.status.size, len(CLASSES)))
     earlier = tracks.class_probability
-    _classify(tracks.status, tracks.state, tracks.covariance, tracks.size_m, earlier, _rules(settings), probability)
-    return Tracks(**{**vars(tracks), "class_probability": probability})
+    seen = tracks.status, tracks.state, tracks.covariance, tracks.size_m
+    _classify(*seen, own_velocity(ego), earlier, _rules(settings), probability)
+    return replace(tracks, class_probability=probability)
 
 
 @lru_cache(maxsize=16)
@@ -64,6 +43,7 @@ def _classify(
     state: Floats,
     covariance: Floats,
     size: Floats,
+    own: Floats,
     earlier: Floats,
     rules: Floats,
     probability: Floats,
@@ -75,7 +55,13 @@ def _classify(
             probability[i, k] = earlier[i, k]
         if status[i] != _CONFIRMED:
             continue
-        excess = max(abs(state[i, 4]) - moving_mps, 0.0) / math.sqrt(max(covariance[i, 4, 4], 1e-12))
+        vx, vy = state[i, 1] + own[0], state[i, 4] + own[1]
+        speed, variance = abs(state[i, 4]), covariance[i, 4, 4]
+        if own[0] == own[0] and vx * vx + vy * vy > 0:  # otherwise the own motion hides the speed along x
+            speed = math.sqrt(vx * vx + vy * vy)
+            variance = vx * vx * covariance[i, 1, 1] + 2 * vx * vy * covariance[i, 1, 4] + vy * vy * covariance[i, 4, 4]
+            variance /= speed * speed
+        excess = max(speed - moving_mps, 0.0) / math.sqrt(max(variance, 1e-12))
         moves = math.erf(excess / math.sqrt(2.0))  # confidence that it moves
         width, height = size[i, 1], size[i, 2]
         person = _fit(width, limits[0], limits[1], tolerance) * _fit(height, limits[2], limits[3], tolerance)

@@ -1,0 +1,51 @@
+"""`rangecam train`: the trees of the learned classifier, from simulated drives, and how good they are on others."""
+
+import json as json_format
+import os
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from rangecam.cli.app import Json, app
+from rangecam.cli.running import progress
+
+
+@app.command
+def train(
+    model: Annotated[Path | None, Parameter(help="Where the new model goes (.npz); none: only score.")] = None,
+    *,
+    drives: Annotated[int, Parameter(help="Drives of each sensor to learn from.")] = 400,
+    held_out: Annotated[int, Parameter(help="Other drives of each sensor to score with.")] = 60,
+    seed: Annotated[int, Parameter(help="Seed of the drives.")] = 1,
+    jobs: Annotated[int | None, Parameter(help="Processes to work in; otherwise as many as there are cores.")] = None,
+    json: Json = False,
+) -> None:
+    """Train the classifier on simulated drives and write MODEL, then score it, or the one that ships, on others."""
+    from rangecam.classify.learned import load_model, save_model
+    from rangecam.io.files import check_target, replacing
+    from rangecam.training.fit import fit
+    from rangecam.training.lots import learning_lots, scores, simulate
+    from rangecam.tuning import mapping, workers
+
+    target = None if model is None else check_target(model)
+    with workers(jobs or os.cpu_count() or 1) as executor:
+        over = mapping(executor, partial(progress, what="drives"))
+        if target is not None:
+            examples = simulate(learning_lots(drives, seed), over)
+            with replacing(target) as part:
+                save_model(fit(examples, seed), part)
+        scored = scores(load_model("" if target is None else str(target)), held_out, seed, over)
+    if json:
+        print(json_format.dumps({"model": None if model is None else str(model), "scores": scored}, allow_nan=False))
+    else:
+        for name, one in scored.items():
+            print(_described(name, one))
+
+
+def _described(name: str, score: dict[str, Any]) -> str:
+    return (
+        f"{name:22} {100 * score['right']:5.1f} % right of the {100 * score['decided']:.1f} % decided, "
+        f"probabilities off by {100 * score['calibration_error']:.1f} % ({score['examples']} examples)"
+    )

@@ -1,0 +1,89 @@
+"""Training: drives of known things, examples of them, trees taken out of the library that grew them, scores."""
+
+import numpy as np
+import pytest
+
+from rangecam.classify.features import FEATURES
+from rangecam.classify.learned import probabilities
+from rangecam.errors import UsageError
+from rangecam.training.drives import KINDS, DriveSettings, random_drive
+from rangecam.training.examples import Examples, Lot, joined, simulated
+from rangecam.training.fit import _grow, _taken_out, fit
+from rangecam.training.lots import HELD_OUT, held_out_lots, learning_lots
+from rangecam.training.score import confusion, reliability, right_share
+
+
+def made_up(count, rng):
+    """Examples of three classes that differ in one feature, whose truth is drawn with known probabilities."""
+    features = rng.standard_normal((count, len(FEATURES)))
+    odds = np.exp(2 * np.stack([features[:, 0], np.zeros(count), -features[:, 0]], axis=1))
+    shares = odds / odds.sum(axis=1, keepdims=True)
+    classes = 1 + (rng.random(count)[:, None] > np.cumsum(shares, axis=1)).sum(axis=1)
+    return Examples(
+        features, classes, np.eye(4)[classes], np.ones(count), classes.astype(str), np.arange(count)
+    ), shares
+
+
+def test_a_drive_is_drawn_by_its_numbers_alone_and_knows_the_class_of_each_object():
+    one, again = (random_drive("road_cw", DriveSettings(), np.random.default_rng([3, 4])) for _ in range(2))
+    assert one == again
+    assert len(one.classes) == len(one.kinds) == len(one.scenario.objects)
+    by_name = {kind.name: kind.class_ for kind in KINDS}
+    assert all(by_name[kind] == class_ for kind, class_ in zip(one.kinds, one.classes, strict=True))
+
+
+def test_drives_held_out_share_no_seed_with_those_learned_from():
+    learned = {(lot.seed, number) for lot in learning_lots(50, 1) for number in lot.numbers}
+    for name in HELD_OUT:
+        held = {(lot.seed, number) for lot in held_out_lots(name, 50, 1) for number in lot.numbers}
+        assert len(held) == 50
+        assert not held & learned
+
+
+def test_the_chain_sees_things_of_a_drive_whose_class_the_truth_tells():
+    examples = joined([simulated(Lot("usercams", DriveSettings(field_deg=27.0), 5, range(2))) for _ in range(2)])
+    assert len(examples) > 10
+    assert np.isfinite(examples.features).all()
+    assert set(examples.classes) <= {1, 2, 3}
+    np.testing.assert_allclose(examples.given.sum(axis=1), 1)
+    assert len(np.unique(examples.drives)) in (2, 4)
+    half = len(examples) // 2
+    np.testing.assert_array_equal(examples.features[:half], examples.features[half:])
+    assert not set(examples.drives[:half]) & set(examples.drives[half:])
+
+
+def test_trees_taken_out_say_what_the_library_says():
+    examples, _ = made_up(900, np.random.default_rng(1))
+    grown = _grow(examples.features, examples.classes - 1, np.ones(900), 1)
+    np.testing.assert_allclose(
+        probabilities(examples.features, _taken_out(grown)), grown.predict_proba(examples.features), atol=1e-4
+    )
+
+
+def test_fitted_probabilities_are_those_of_classes_that_come_alike():
+    rng = np.random.default_rng(2)
+    model = fit(made_up(4000, rng)[0], 1)
+    others, shares = made_up(4000, rng)
+    alike = shares / shares.mean(axis=0)
+    alike /= alike.sum(axis=1, keepdims=True)
+    told = probabilities(others.features, model)
+    assert np.abs(told - alike).mean() < 0.08
+    assert np.abs((told - alike).mean(axis=0)).max() < 0.05
+
+
+def test_a_class_without_examples_is_refused():
+    examples, _ = made_up(50, np.random.default_rng(3))
+    lacking = Examples(**{**vars(examples), "classes": np.ones(50, int)})
+    with pytest.raises(UsageError, match="no example of vehicle, obstacle"):
+        fit(lacking, 1)
+
+
+def test_scores_count_what_is_decided_and_what_is_right():
+    classes = np.array([1, 1, 2, 3])
+    probability = np.array([[0.1, 0.9, 0, 0], [0.6, 0.4, 0, 0], [0, 0.8, 0.2, 0], [0.2, 0, 0, 0.8]])
+    assert right_share(classes, probability) == (pytest.approx(2 / 3), 0.75)
+    np.testing.assert_array_equal(confusion(classes, probability), [[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    curve = reliability(classes, probability, groups=1)
+    assert curve.number.tolist() == [4]
+    assert curve.right[0] == 0.75
+    assert curve.told[0] == pytest.approx((1 + 1 + 0.8 + 1) / 4)
