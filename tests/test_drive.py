@@ -134,6 +134,19 @@ def test_json_and_lines_say_how_it_came_out() -> None:
     assert page.html(usual(), "a test").startswith(b"<!DOCTYPE html>")
 
 
+@pytest.mark.parametrize(("preset", "brakes"), [("scaled_car", True), ("scaled_car_unwrapped", False)])
+def test_a_reflector_beyond_the_unambiguous_range_needs_a_second_frequency(preset: str, brakes: bool) -> None:
+    scenario, config, settings = opened("beyond-range", preset, [])
+    found = drive(replace(scenario, duration_s=1.1), config, settings)
+    assert math.isfinite(found.braked_s) is brakes
+    assert not found.by_fault
+
+
+def test_a_car_ahead_as_fast_as_we_are_is_followed() -> None:
+    scenario, config, settings = opened("follow-car", None, [])
+    assert drive(replace(scenario, duration_s=1.5), config, settings).braked_s == math.inf
+
+
 # -- faults -----------------------------------------------------------------------------------------------------------
 
 
@@ -182,7 +195,7 @@ def test_timeouts_follow_the_latency_and_the_road() -> None:
     settings = replace(SETTINGS, result_after_frames=10.0)
     machine = brake_settings(coarse(), settings).machine
     assert machine.image_timeout_s == pytest.approx(latency_s(coarse(), settings) + 3 / 30)
-    assert machine.max_deceleration_mps2 == pytest.approx(0.3 * 9.81)
+    assert machine.sure_deceleration_mps2 == pytest.approx(0.3 * 9.81)
 
 
 # -- what is touched --------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ def brake_settings(config: Config, settings: DriveSettings) -> BrakeSettings:
         brake.machine,
         image_timeout_s=timeout_s,
         max_speed_mps=1.1 * settings.vehicle.max_speed_mps,
-        max_deceleration_mps2=min(brake.machine.max_deceleration_mps2, full_deceleration(config.decision)),
+        sure_deceleration_mps2=full_deceleration(config.decision),
     )
     return replace(brake, machine=machine, gate=replace(brake.gate, cause_age_s=timeout_s + settings.step_s))
 

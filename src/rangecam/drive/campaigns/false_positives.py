@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rangecam.drive.campaigns.full_size import ON_A_CAR
 from rangecam.drive.campaigns.trial import Drawn, Trial, configured, one_of, scene, uniform
 from rangecam.drive.opening import drive_settings
 from rangecam.scene.paths import EgoMotion, EgoPhase, Path
@@ -52,7 +53,7 @@ def draw(rng: np.random.Generator, seed: int, layers: Mapping[str, Any]) -> Tria
         light=light,
         weather=name if name in ("rain", "dust", "leaves") else "",
     )
-    layer = {"decision": {"friction": 0.9}} if on_road else {}
+    layer = ON_A_CAR[camera] if on_road else {}
     config = configured(camera, layers, layer)
     told = {"vehicle": "passenger_car" if on_road else "scaled_car", "friction": friction, "harmless": HARMLESS}
     return Trial(drawn, scenario, config, drive_settings(config, told), seed)

@@ -21,16 +21,26 @@ FRICTION = 0.9
 _CAR = VEHICLES["passenger_car"]
 _HALF_CAR_M = 2.15
 _HITS_S = 4.0  # a crossing is timed so that it is hit then
+_BRAKES_S = 0.1 + 0.3 / 2  # of a car: the delay, and half of the rise to full force
 ON_A_CAR: dict[str, dict[str, Any]] = {
-    "usercams": {"decision": {"friction": FRICTION, "corridor": {"width_m": 2.0}}},
+    # behind the windscreen it would look over the bumper of a car that is near: 8.8 degrees are not much
+    "usercams": {
+        "mounting": {"z_m": 0.7},
+        "decision": {"friction": FRICTION, "reaction_time_s": 4 / 50 + _BRAKES_S, "corridor": {"width_m": 2.0}},
+    },
     "scaled_car": {
         "mounting": {"z_m": 0.6},
         "clean": {"x_max_m": 8.0, "width_m": 4.0, "z_max_m": 2.0, "floor_margin_m": 0.12},
-        "decision": {"friction": FRICTION, "min_object_m": 0.2, "corridor": {"width_m": 2.0}},
+        "decision": {
+            "friction": FRICTION,
+            "reaction_time_s": 4 / 30 + _BRAKES_S,
+            "min_object_m": 0.2,
+            "corridor": {"width_m": 2.0},
+        },
     },
-    "road_cw_20m": {"decision": {"friction": FRICTION}},
+    "road_cw_20m": {"decision": {"friction": FRICTION, "reaction_time_s": 4 / 30 + _BRAKES_S}},
 }
-"""What a camera's preset is told when it sits on a passenger car on dry asphalt."""
+"""What a camera's preset is told when it sits at the front of a passenger car on dry asphalt."""
 
 
 class Target(NamedTuple):
