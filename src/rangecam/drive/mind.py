@@ -105,4 +105,5 @@ class Mind:
             return Ego(time_s)
         speed = self.unit.state.speed_mps
         steer = math.radians(vehicle.max_steer_deg) * self._steer
-        return Ego(time_s, speed, speed * math.tan(steer) / vehicle.wheelbase_m, car.forward)
+        yaw_rate_radps = speed * math.tan(steer) / vehicle.wheelbase_m
+        return Ego(time_s, speed, yaw_rate_radps, car.forward, braking=self.unit.state.mode is Mode.STOPPING)
