@@ -65,9 +65,11 @@ def warm_up(capture: Capture, config: Config) -> None:
     image = RangeImage(0.0, plane, plane, plane, np.zeros(shape, np.uint8))
     points = to_world(image, lens, config.mounting)
     segment(config.segmentation, image, points, config.segments, Tracks.empty())
-    segments = measure_segments(np.ones(shape, np.int32), points, image, lens, config.mounting, config.segments)
+    one, two = np.ones(shape, np.int32), np.ones(shape, np.int32)
+    two[:, (shape[1] + 1) // 2 :] = 2  # an image of one column has one object only
     tracks = Tracks.empty()
-    for time_s in (0.0, 0.1):
+    for time_s, labels in ((0.0, one), (0.1, two), (0.2, one)):  # objects that part and merge
+        segments = measure_segments(labels, points, image, lens, config.mounting, config.segments)
         tracks = update_tracks(tracks, segments, time_s, config.tracking, capture.ego)
         tracks = classify(tracks, capture.ego, config.classification, segments)
         decide(tracks, capture.ego, config.decision)
