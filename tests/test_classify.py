@@ -229,7 +229,8 @@ def test_the_trees_know_a_driving_car_and_a_walking_person() -> None:
     driving = track()
     driving.state[0, 1] = 6.0
     assert seen(driving, segments_of(**car))[0].class_name == "vehicle"
-    assert seen(track(lateral_mps=1.3, sigma_mps=0.05), segments_of())[0].class_name == "vru"
+    walking = seen(track(lateral_mps=1.3, sigma_mps=0.05), segments_of())[0]  # with limbs that do not swing
+    assert walking.class_probability[CLASSES.index("vru")] > 3 * walking.class_probability[[2, 3]].max()
 
 
 def test_the_memory_holds_running_means_and_a_frame_counts_once() -> None:

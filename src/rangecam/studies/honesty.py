@@ -183,7 +183,7 @@ def honesty(rng: np.random.Generator, count: int = 80, jobs: int = 1) -> Study:
     calibrated, reliability = _reliability(told)
     return Study(
         "honesty",
-        "K 6.5, K-CLS-03, K-CLS-04: prediction of collisions",
+        "König 2008, section 6.5: prediction of collisions (K-CLS-03, K-CLS-04)",
         [*covered, *calibrated, *_innovations(told, wrong)],
         [intervals, reliability, _surface(told)],
     )
