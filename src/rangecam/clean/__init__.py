@@ -13,13 +13,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from rangecam.clean.filters import FILTERS, shared_noise_pixels
 from rangecam.clean.flying import flying
 from rangecam.clean.limits import area_of_interest, cut, floor_limit, neighbours_needed, weakest_amplitudes
 from rangecam.clean.neighbours import Kept, judge
-from rangecam.clean.onepass import WIDEST, clean_in_one_pass
+from rangecam.clean.onepass import WIDEST, clean_in_one_pass, limits_in_one
 from rangecam.clean.settings import CleanSettings
 from rangecam.clean.temporal import settle
 from rangecam.geometry import Lens, Mounting
@@ -57,7 +56,7 @@ def clean(
     if _at_once(why.shape, settings, before):
         limits = _all_limits(lens, mounting, why.shape, settings)
         planes = range_m, sigma_m, amplitude
-        range_m, sigma_m, why = clean_in_one_pass(planes, why, limits, settings)
+        range_m, sigma_m, why = clean_in_one_pass(planes, why, limits)
         return RangeImage(image.time_s, range_m, sigma_m, amplitude, why)
     least, needed, floor, near, far = _known_limits(lens, mounting, why.shape, settings)
     why, around = judge((range_m, sigma_m, amplitude), why, least, needed, settings)
@@ -80,10 +79,9 @@ def _at_once(shape: tuple[int, ...], settings: CleanSettings, before: RangeImage
 
 @lru_cache(maxsize=4)
 def _all_limits(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: CleanSettings) -> Floats:
-    """Return the limits as planes (7, H, W) float32, in the order of `onepass`."""
-    (weakest, wrapped), needed, floor, near, far = _known_limits(lens, mounting, shape, settings)
-    farthest = maximum_filter(floor, 3, mode="nearest")
-    return np.stack([weakest, wrapped, needed, floor, farthest, near, far], dtype=np.float32)
+    """Return the limits in one array, as `onepass` takes them."""
+    amplitudes, needed, floor, near, far = _known_limits(lens, mounting, shape, settings)
+    return limits_in_one(amplitudes, needed, floor, (near, far), settings)
 
 
 @lru_cache(maxsize=16)

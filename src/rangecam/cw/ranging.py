@@ -44,7 +44,7 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     planes = _samples(raw, PLANES)
     shape = planes[0].shape
     images, why = np.empty((3, *shape), np.float32), np.empty(shape, np.uint8)
-    limits, settings = _sample_limits(camera, planes[0].dtype), _kernel_settings(camera)
+    limits, settings = _known(camera, planes[0].dtype)
     c0, c90, c180, c270 = planes  # one by one: a tuple would take longer to be handed over
     _four_phase(c0, c90, c180, c270, limits, settings, images, why)
     if camera.pseudo_rows:
@@ -52,7 +52,12 @@ def cw_four_phase(raw: RawFrame, camera: CwCamera) -> RangeImage:
     return RangeImage(raw.time_s, images[0], images[1], images[2], why)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
+def _known(camera: CwCamera, kind: np.dtype[Any]) -> tuple[Image, Floats]:
+    """Return what the kernel needs of the camera, found at one go: limits of samples of a number type, and settings."""
+    return _sample_limits(camera, kind), _kernel_settings(camera)
+
+
 def _kernel_settings(camera: CwCamera) -> Floats:
     """Return what the kernel needs of the camera, in its order."""
     metres_per_rad = metres_per_radian(camera)
@@ -76,7 +81,6 @@ def _kernel_settings(camera: CwCamera) -> Floats:
     )
 
 
-@lru_cache(maxsize=8)
 def _sample_limits(camera: CwCamera, kind: np.dtype[Any]) -> Image:
     """Return the least and the greatest sample, of its own number type, that is within the converter's limits."""
     low, high = camera.lower_limit_lsb, camera.full_scale_lsb
