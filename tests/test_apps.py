@@ -1,6 +1,7 @@
 """Assistance functions: on tracks made by hand, on a simulated follower, and on simulated scenes."""
 
 import contextlib
+import dataclasses
 import io
 import math
 import re
@@ -35,7 +36,7 @@ from rangecam.types import Collisions, Decision, Ego, Frame, RangeImage, RawFram
 from test_brake import tracks_of
 
 ROAD = CorridorSettings(width_m=2.0)
-NOBODY = Collisions(*(np.zeros(0) for _ in range(4)))
+NOBODY = Collisions(**{field.name: np.zeros(0) for field in dataclasses.fields(Collisions)})
 
 
 def segments_of(*boxes: tuple[float, float, float]) -> Segments:

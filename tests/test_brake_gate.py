@@ -121,8 +121,8 @@ def test_only_the_gate_forms_a_take_over_in_the_package() -> None:
     assert forming <= {"brake/gate.py", "brake/unit.py", "can/codec.py", "can/monitor.py", "cli/can.py"} | RECEIVERS
 
 
-RECEIVERS: set[str] = set()
-"""Modules that take a take-over apart, as the car does."""
+RECEIVERS = {"vehicle/unit.py", "drive/mind.py", "drive/loop.py", "drive/roles.py"}
+"""Modules that take a take-over apart or carry it, as the car and its bus do; what they form themselves is status."""
 
 
 # -- the unit ---------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from rangecam.types import Collisions, Decision, Frame, RangeImage, RawFrame, Se
 
 N0, I0 = np.zeros(0), np.zeros(0, int)
 NO_SEGMENTS = Segments(**{field.name: N0 for field in dataclasses.fields(Segments)})
+NOBODY = Collisions(**{field.name: N0 for field in dataclasses.fields(Collisions)})
 SETTINGS = HealthSettings()
 
 
@@ -33,7 +34,7 @@ def frame_of(
     state[:, 1] = [-speed for speed in closing_mps]
     tracks = dataclasses.replace(Tracks.empty(), status=np.full(n, status), state=state, track_id=np.arange(n))
     image = RangeImage(time_s, plane * range_m, plane, plane, (plane * why).astype(np.uint8))
-    decision = Decision(time_s, True, "box", Collisions(N0, N0, N0, N0))
+    decision = Decision(time_s, True, "box", NOBODY)
     raw = RawFrame(time_s, {"a": plane} if planes is None else planes, frame_id=7)
     return Frame(raw, image, np.zeros(shape, int), NO_SEGMENTS, tracks, decision)
 

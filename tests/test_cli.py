@@ -170,7 +170,7 @@ BAD_CALLS: dict[str, tuple[list[str], tuple[str, ...]]] = {
     "tracks in a missing folder": (["run", "RAW", "--tracks", "FOLDER/x/t.csv"], ("t.csv",)),
     "recording in a missing folder": (["run", "RAW", "--record", "FOLDER/x/r.mcap"], ("r.mcap",)),
     "report onto a folder": (["run", "RAW", "--report", "FOLDER"], ("FOLDER",)),
-    "simulation without output": (["simulate", "test-scene"], ("output",)),
+    "simulation without output": (["simulate", "test-scene"], ("-o OUT.mcap", "--stream")),
     "repair of nothing": (["repair", "nowhere.mcap"], ("nowhere.mcap",)),
 }
 

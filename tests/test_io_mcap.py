@@ -147,7 +147,7 @@ def digest(frames: Iterator[Frame]) -> str:
     parts = []
     for frame in frames:
         arrays = [*vars(frame.image).values(), *vars(frame.tracks).values(), *vars(frame.decision.collisions).values()]
-        parts += [np.asarray(array).tobytes() for array in arrays]
+        parts += [a.tobytes() if isinstance(a, np.ndarray) else repr(a).encode() for a in arrays]
         parts.append(repr([v for k, v in vars(frame.decision).items() if k != "collisions"]).encode())
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 

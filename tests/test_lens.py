@@ -39,7 +39,7 @@ def test_rays_are_the_undistorted_points_of_opencv(lens):
     rows, columns = np.indices(SHAPE)
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(float)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-12)
-    undistorted = cv2.undistortPointsIter(pixels, *opencv_of(lens, SHAPE), None, None, criteria).reshape(*SHAPE, 2)
+    undistorted = cv2.undistortPoints(pixels, *opencv_of(lens, SHAPE), criteria=criteria).reshape(*SHAPE, 2)
     ray = rays(lens, SHAPE)
     assert_allclose(-ray[..., 1:] / ray[..., :1], undistorted, atol=1e-8)
 

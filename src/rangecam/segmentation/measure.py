@@ -67,6 +67,7 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
             settings.near_fraction,
             *(settings.occluder_step_m, settings.occluder_sigmas, settings.occluder_fraction),
             settings.edge_step,
+            settings.depth_scatter,
         ],
         float,
     )
@@ -226,7 +227,7 @@ def _evaluate(
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
-    step = known[23]
+    step, scatter = known[23], known[24]
     for k in range(len(sums)):
         number, variance = sums[k, 0], sums[k, 8] / sums[k, 0]
         n_pixels[k], means[0, k], means[1, k] = number, sums[k, 7] / number, sums[k, 9] / number
@@ -240,11 +241,13 @@ def _evaluate(
         if len(angles) > 0:
             middle = angles[(box[k, 0] + box[k, 2] - 1) // 2, (box[k, 1] + box[k, 3] - 1) // 2]
             pixel_distance, pitch_h, pitch_v = math.sqrt(radius2), middle[0], middle[1]
+        depth_spread = 0.0
         for axis in range(3):
             across, up = turn[axis, 1] * pitch_h * pixel_distance, turn[axis, 2] * pitch_v * pixel_distance
             footprint2 = across * across + up * up
             noise2 = variance * (position_m[k, axis] - centre[axis]) ** 2 / radius2
             spread = max(sums[k, 4 + axis] / number - position_m[k, axis] ** 2 - noise2, 0.0)
+            depth_spread = spread if axis == 0 else depth_spread
             whole = bounds[k, 3 + axis] - bounds[k, axis] + math.sqrt(footprint2)
             size_m[k, axis] = min(math.sqrt(12 * spread + footprint2), whole)
         # an outline jitters at each of its pixels, and a straight edge steps as a whole; an edge of the image does not
@@ -253,4 +256,4 @@ def _evaluate(
         above = 2 - (cut[k] >> 2 & 1) - (cut[k] >> 3 & 1)  # top and bottom
         sigmas[k, 0] = math.sqrt(pixel**2 + beside * (step**2 + jitter**2 / rows) / 4)
         sigmas[k, 1] = math.sqrt(pixel**2 + above * (step**2 + jitter**2 / columns) / 4)
-        sigmas[k, 2] = math.sqrt(variance * min(shared / number, 1.0) + systematic**2)
+        sigmas[k, 2] = math.sqrt((variance + scatter * depth_spread) * min(shared / number, 1.0) + systematic**2)

@@ -61,6 +61,9 @@ class SegmentSettings:
     with all of its pixels, so that it is off by up to half a pixel, evenly."""
     sigma_systematic_m: NonNegative = 0.005
     """Standard deviation of a segment's range that no number of pixels makes smaller."""
+    depth_scatter: Fraction = 0.0
+    """Share of the variance of a segment's points along x that is chance: 0 for a solid surface, whose depth is its
+    shape; more where shutters that are taken one after the other tear the edges of what moves apart."""
     shared_noise_pixels: Annotated[float, Interval(ge=1)] = 6.6
     """Over how many pixels the noise is the same; 1: independent. Unless it is set, what the filter of `clean` says."""
     near_fraction: Annotated[float, Interval(gt=0, le=0.5)] = 0.05

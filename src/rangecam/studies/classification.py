@@ -30,7 +30,8 @@ def classification(rng: np.random.Generator) -> Study:
         learned = told(examples, load_model(), ClassificationSettings())
         claims += _claims(name, examples, learned, asked)
         curve = reliability(examples.classes, learned)
-        sigma = np.sqrt(curve.right * (1 - curve.right) / curve.number)
+        share = (curve.right * curve.number + 1) / (curve.number + 2)  # as if one more were right and one wrong
+        sigma = np.sqrt(share * (1 - share) / curve.number)
         curves.append(Series(name, curve.told, curve.right, sigma=sigma, colour=number))
         for method, probability in (("trees", learned), ("rules", examples.given)):
             panels.append(_confused(f"{name}, {method}", examples, probability))
