@@ -189,6 +189,7 @@ def mode_switching(dt_s: float, count: int, memory_s: float) -> Floats:
     if count == 1:
         return np.ones((1, 1))
     kept = math.exp(-dt_s / memory_s * count / (count - 1))
-    switching = np.full((count, count), (1 - kept) / count)
-    switching.flat[:: count + 1] += kept
+    switching = np.empty((count, count))
+    switching.fill((1 - kept) / count)
+    switching.ravel()[:: count + 1] += kept
     return switching

@@ -11,7 +11,7 @@ import numpy as np
 from rangecam.config import Config
 from rangecam.metrics import honesty, quality_of, scored
 from rangecam.metrics.quality import Scored
-from rangecam.types import CLASSES, Capture, Decision, Floats, Frame, Track, TrackStatus
+from rangecam.types import CLASSES, Capture, Decision, Floats, Frame, Refused, Track, TrackStatus
 
 
 class Stopwatch:
@@ -53,6 +53,8 @@ class Summary:
         self._braking = False
         self._brake_frames = 0
         self._tracks: dict[int, dict[str, Any]] = {}
+        self._refused = {each: 0 for each in Refused if each != Refused.NOTHING}
+        self._ignored = 0
         self._nis: list[Floats] = []
         self._scored: list[Scored] = []
         self._digest = hashlib.sha256()
@@ -68,7 +70,11 @@ class Summary:
             self._events.append(_event(decision))
         self._braking = decision.brake
         tracks, threats = frame.tracks, decision.collisions
-        self._nis.append(tracks.nis[tracks.status == TrackStatus.CONFIRMED])
+        if tracks.refused:
+            self._refused[Refused(tracks.refused)] += 1
+        if tracks.refused not in (Refused.REPEATED, Refused.LATE):  # else they are those of the frame before
+            self._ignored += tracks.ignored
+            self._nis.append(tracks.nis[tracks.status == TrackStatus.CONFIRMED])
         if (against_truth := scored(capture, frame, self._config)) is not None:
             self._scored.append(against_truth)
         for values in (
@@ -108,7 +114,8 @@ class Summary:
     def result(self, watch: Stopwatch) -> dict[str, Any]:
         """Return the summary as JSON values; `digest` is equal if and only if every track and decision was.
 
-        `nis` is whether the innovations of the confirmed tracks are as large as they should be: see `metrics.honesty`;
+        `refused` counts frames that were repeated or late, and how often the clock was set back, `ignored_segments` those
+        of no finite position. `nis` is whether the innovations of the confirmed tracks are as large as they should be: see `metrics.honesty`;
         `quality` is there where the truth is known: see `metrics.quality_of`.
         """
         from rangecam import __version__
@@ -129,6 +136,8 @@ class Summary:
             "segments_per_frame": self._segments,
             "tracks": list(self._tracks.values()),
             "decisions": {"brake_frames": self._brake_frames, "events": self._events},
+            "refused": {each.name.lower(): number for each, number in self._refused.items()},
+            "ignored_segments": self._ignored,
             "nis": honesty(np.concatenate([np.zeros(0), *self._nis])),
             **({"quality": quality_of(self._scored)} if self._scored else {}),
             "latency_ms": watch.latency_ms(),
@@ -171,6 +180,7 @@ def describe(result: dict[str, Any]) -> str:
         *(_first(brakes, 5) or ["brake      never"]),
         *_describe_honesty(result["nis"]),
         *_describe_quality(result.get("quality")),
+        *_describe_refused(result["refused"], result["ignored_segments"]),
         *_describe_received(result.get("received")),
     ]
     if "sum" in result["latency_ms"]:
@@ -206,6 +216,18 @@ def _describe_quality(quality: dict[str, Any] | None) -> list[str]:
     errors = f"{quality['rmse_position_m']:.3f} m, {quality['rmse_velocity_mps']:.3f} m/s"
     scores = f"MOTA {quality['clear']['mota']:.2f}, HOTA {quality['hota']['hota']:.2f}"
     return [f"truth      RMS error {errors}; {scores}"]
+
+
+def _describe_refused(refused: dict[str, int], ignored: int) -> list[str]:
+    """Return what of the input was not used, if anything."""
+    texts = {
+        "repeated": count(refused["repeated"], "repeated frame"),
+        "late": count(refused["late"], "late frame"),
+        "clock_set_back": f"clock set back {count(refused['clock_set_back'], 'time')}",
+    }
+    said = [text for name, text in texts.items() if refused[name]]
+    said += [f"{count(ignored, 'segment')} of no finite position"] if ignored else []
+    return [f"not used   {', '.join(said)}"] if said else []
 
 
 def _describe_received(counts: dict[str, int] | None) -> list[str]:

@@ -141,7 +141,7 @@ def _within(scene: Scene, tracks: Ints, segments: Ints, share: float) -> Ints:
     """Return (n, m): whether the predicted centre lies in the segment's box; share: of the track's size beside it."""
     sigma = np.sqrt(scene.P[tracks][:, range(3), range(3)])
     half = scene.seen[3][segments] / 2
-    own = scene.size[tracks] * share + np.array([0.5, 0.0, 0.0])  # as `filter.inside`: depth is hardly ever seen
+    own = scene.size[tracks] * share + np.array([0.5, 0.0, 0.0])  # as `living.hidden`: depth is hardly ever seen
     apart = np.abs(scene.x[tracks][:, None] - scene.seen[1][segments][None])
     near: Ints = (apart <= half[None] + (own + _REACH * sigma)[:, None]).all(axis=2)
     return near

@@ -1,4 +1,4 @@
-"""Birth and end of tracks: rare beside their life, which is a loop in `filter.py`."""
+"""Birth and end of tracks: rare beside their life, which is a loop in `living.py`."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.tracking.filter import GONE, Seen, complete, left_over
+from rangecam.tracking.filter import Seen, complete
+from rangecam.tracking.living import GONE, left_over
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import first_memory, shapes
 from rangecam.types import CLASSES, Floats, Ints, Tracks, TrackStatus
@@ -27,7 +28,7 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     label, position, covariance, size, near, n_pixels = seen[:6]
     R, first = np.empty_like(covariance), np.empty_like(label)
     complete(covariance, size, seen[10], rules, R)
-    first = first[: left_over(took, position, R, first)]
+    first = first[: left_over(took, position, covariance, size, first)]
     position = position[first]
     n, count = len(first), len(settings.motion.modes)
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from rangecam.tracking.filter import Seen, describe
+from rangecam.tracking.filter import Seen
+from rangecam.tracking.living import describe
 from rangecam.types import MEMORY, Floats, Ints, Tracks
 
 SHAPE_SPREAD = 3
@@ -12,7 +13,7 @@ SHAPE_SPREAD = 3
 
 
 def shapes(seen: Seen) -> Floats:
-    """Return the shape (M, 7) of each segment: see `filter.describe`."""
+    """Return the shape (M, 7) of each segment: see `living.describe`."""
     shape = np.empty((len(seen[0]), 7))
     describe(seen[3], seen[5], *seen[6:], shape)
     return shape
@@ -57,7 +58,7 @@ def memory_of(tracks: Tracks, sigma: float) -> Floats:
         range_m,
         np.ones(n),
         np.full(n, math.inf),
-        np.zeros(n, int),
+        np.zeros(n, np.uint8),
         shape,
     )
     return first_memory(shape, sigma)

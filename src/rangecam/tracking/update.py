@@ -4,7 +4,6 @@ import dataclasses
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -12,37 +11,28 @@ from scipy.special import chdtri
 from rangecam.errors import DataError
 from rangecam.motion import MOTION, TURNS, MotionSettings, mode_switching
 from rangecam.tracking.association import ASSOCIATION, NO_PAIR, priorities
-from rangecam.tracking.filter import (
-    CONTESTED,
-    PAIRED,
-    PAIRING,
-    RULES,
-    WHOLE,
-    Seen,
-    advance,
-    advance_modes,
-    complete,
-    unseen,
-)
-from rangecam.tracking.groups import lasting_parts, regroup, scene_of
+from rangecam.tracking.filter import PAIRED, PAIRING, RULES, WHOLE, Seen, advance, advance_modes, complete, unseen
+from rangecam.tracking.groups import Grouped, lasting_parts, regroup, scene_of
 from rangecam.tracking.joint import marginals
 from rangecam.tracking.life import delete, initiate
+from rangecam.tracking.living import hidden, live
 from rangecam.tracking.own_motion import carried
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import memory_of, pair_shapes, shapes
 from rangecam.types import MEMORY, Ego, Floats, Ints, Refused, Segments, Tracks, TrackStatus
 
-_FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
-_NO_WEIGHTS: Floats = np.zeros((0, 0))
+_FLOAT, _INT, _BYTE = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint8)
 _STANDING: Floats = np.zeros(2)
 _GROUP, _PARTS = MEMORY.index("merged"), MEMORY.index("parts")
 
 _UNKNOWN = Ego()
 
-State = tuple[int, float, Ego]
-"""What of a frame goes straight into its tracks: refused, time_s, ego."""
-Step = Callable[[Seen, Ints, Floats, int], tuple[int, int, int]]
-"""A kernel with all but the segments, the pairing, the weights and the stage."""
+State = tuple[int, float, float, Ego]
+"""What of a frame goes straight into its tracks: refused, time_s, seconds since the last, ego."""
+Written = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
+"""mode_probability, mode_state, mode_covariance, x, P, NIS."""
+Step = Callable[[Seen, Ints, Floats | None, int], bool]
+"""A kernel of the filter with all but the segments, the pairing, the weights and the stage."""
 
 
 def update_tracks(
@@ -71,88 +61,127 @@ def update_tracks(
     seen, own = _seen_in(segments), _STANDING
     if settings.frame == "ground":
         tracks, own = carried(tracks, ego, dt_s, settings.rear_axle_m)
-    state = int(refused), time_s, ego
+    state = int(refused), time_s, dt_s, ego
     follow = _follow_modes if settings.motion.modes else _follow
-    tracks, seen, took, ended, left = follow(tracks, seen, dt_s, own, state, settings)
+    tracks, seen, took, ended, left = follow(tracks, seen, own, state, settings)
     if ended:
         tracks = delete(tracks)
     return initiate(tracks, seen, took, _constants(settings), settings) if left else tracks
 
 
 def _follow(
-    tracks: Tracks, seen: Seen, dt_s: float, own: Floats, state: State, settings: TrackingSettings
+    tracks: Tracks, seen: Seen, own: Floats, state: State, settings: TrackingSettings
 ) -> tuple[Tracks, Seen, Ints, int, int]:
     """Return the tracks after the frame, the segments, which each took, how many end, how many segments are left over.
 
     Ended tracks are still there, with the status `GONE`.
     """
-    model, memory = MOTION[settings.motion.model](dt_s, settings.motion), memory_of(tracks, settings.shape_sigma)
-    n, m = tracks.age.size, seen[0].size
-    x, P, shape, cost = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((n, 3)), np.empty((n, m))
-    counts, means, took, new_memory = np.empty((5, n), int), np.empty((3, n)), np.empty(n, int), np.empty_like(memory)
-    rules = _constants(settings)
+    n, memory, rules = tracks.age.size, memory_of(tracks, settings.shape_sigma), _constants(settings)
+    model = MOTION[settings.motion.model](state[2], settings.motion)
+    x, P, nis, cost = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty(n), np.empty((n, seen[0].size))
+    took, turn = np.empty(n, int), own if settings.motion.model == TURNS else None
 
-    def step(seen: Seen, took: Ints, weights: Floats, stage: int) -> tuple[int, int, int]:
+    def step(seen: Seen, took: Ints, weights: Floats | None, stage: int) -> bool:
         # fmt: off
         return advance(
-            tracks.state, tracks.covariance, tracks.status, tracks.age, tracks.hits, tracks.misses,
-            tracks.size_m, tracks.near_offset_m, tracks.n_pixels, tracks.class_probability, memory,
-            *seen, model, rules, own, x, P, counts, means, shape, new_memory, cost, took, weights, stage,
+            tracks.state, tracks.covariance, memory, seen[1], seen[2], seen[3], seen[5], seen[10],
+            model, rules, turn, x, P, nis, cost, took, weights, stage,
         )
         # fmt: on
 
-    seen, took, ended, left, ignored = _associated(step, tracks, memory, (x, P, cost, took, new_memory), seen, settings)
-    no_modes = np.empty((n, 0)), np.empty((n, 0, 9)), np.empty((n, 0, 9, 9))
-    written = *no_modes, x, P, counts, means, shape, new_memory
-    return _followed(tracks, written, state, ignored), seen, took, ended, left
+    modes = tracks.mode_probability, tracks.mode_state, tracks.mode_covariance
+    if modes[0].shape[1]:
+        modes = np.empty((n, 0)), np.empty((n, 0, 9)), np.empty((n, 0, 9, 9))
+    return _associated(step, tracks, (*modes, x, P, nis), (memory, cost, took), seen, rules, state, settings)
 
 
 def _follow_modes(
-    tracks: Tracks, seen: Seen, dt_s: float, own: Floats, state: State, settings: TrackingSettings
+    tracks: Tracks, seen: Seen, own: Floats, state: State, settings: TrackingSettings
 ) -> tuple[Tracks, Seen, Ints, int, int]:
     """Do what `_follow` does with several motion models at once."""
-    motion, n, m = settings.motion, tracks.age.size, seen[0].size
-    count, memory = len(motion.modes), memory_of(tracks, settings.shape_sigma)
-    models = np.stack([MOTION[mode.model](dt_s, mode) for mode in motion.modes])
-    modes = _modes_of(tracks, count)
-    life = tracks.status, tracks.age, tracks.hits, tracks.misses, tracks.size_m, tracks.near_offset_m, tracks.n_pixels
-    mu, states, spreads = (np.empty_like(each) for each in modes)
-    x, P, shape, cost = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((n, 3)), np.empty((n, m))
-    counts, means, took, new_memory = np.empty((5, n), int), np.empty((3, n)), np.empty(n, int), np.empty_like(memory)
-    written = mu, states, spreads, x, P, counts, means, shape, new_memory
-    known = models, mode_switching(dt_s, count, motion.mode_memory_s), _turns(motion)
-    old, rules = (*modes, *life, tracks.class_probability, memory), _constants(settings)
+    motion, n, dt_s = settings.motion, tracks.age.size, state[2]
+    count, memory, rules = len(motion.modes), memory_of(tracks, settings.shape_sigma), _constants(settings)
+    models = np.empty((count, 2, 3, 3))
+    for k, mode in enumerate(motion.modes):
+        models[k] = MOTION[mode.model](dt_s, mode)
+    turns, any_turns = _turns(motion)
+    known = models, mode_switching(dt_s, count, motion.mode_memory_s), turns
+    old = *_modes_of(tracks, count), memory
+    x, P, nis, cost = np.empty((n, 9)), np.empty((n, 9, 9)), np.empty(n), np.empty((n, seen[0].size))
+    written = np.empty((n, count)), np.empty((n, count, 9)), np.empty((n, count, 9, 9)), x, P, nis
+    took, turn = np.empty(n, int), own if any_turns else None
 
-    def step(seen: Seen, took: Ints, weights: Floats, stage: int) -> tuple[int, int, int]:
-        return advance_modes(old, seen, known, rules, own, written, cost, took, weights, stage)
+    def step(seen: Seen, took: Ints, weights: Floats | None, stage: int) -> bool:
+        used = seen[1], seen[2], seen[3], seen[5], seen[10]
+        return advance_modes(old, used, known, rules, turn, written, cost, took, weights, stage)
 
-    seen, took, ended, left, ignored = _associated(step, tracks, memory, (x, P, cost, took, new_memory), seen, settings)
-    return _followed(tracks, written, state, ignored), seen, took, ended, left
+    return _associated(step, tracks, written, (memory, cost, took), seen, rules, state, settings)
 
 
 def _associated(
     step: Step,
     tracks: Tracks,
-    memory: Floats,
-    arrays: tuple[Floats, Floats, Floats, Ints, Floats],
+    written: Written,
+    arrays: tuple[Floats, Floats, Ints],
     seen: Seen,
+    rules: Floats,
+    state: State,
     settings: TrackingSettings,
-) -> tuple[Seen, Ints, int, int, int]:
+) -> tuple[Tracks, Seen, Ints, int, int]:
     """Take the step; where tracks or segments compete, or segments are left over, see who belongs to whom.
 
-    arrays: x, P, cost, took, new memory, which the step writes. Return the segments, which each track took, how many
-    tracks end, how many segments are left over, and how many are not finite.
+    written: what the step writes; arrays: memory of the tracks, cost and took, which it writes too.
     """
-    x, P, cost, took, new_memory = arrays
-    ended, left, ignored = step(seen, took, _NO_WEIGHTS, WHOLE)
-    contested, hidden, left = ended == CONTESTED, left < 0, max(left, -1 - left)
-    shared = settings.recognise_merges and (
-        hidden or (left > 0 and bool((tracks.status != TrackStatus.TENTATIVE).any()))
-    )
-    if not (contested or shared):
-        return seen, took, ended, left, ignored
-    shape, weights, grouped = shapes(seen), _NO_WEIGHTS, None
-    if contested:
+    memory, took, n = arrays[0], arrays[2], tracks.age.size
+    counts, means, shape, new_memory = np.empty((5, n), int), np.empty((2, n)), np.empty((n, 3)), np.empty_like(memory)
+
+    def lived(seen: Seen, took: Ints) -> tuple[int, int, int, int]:
+        # fmt: off
+        return live(
+            tracks.status, tracks.age, tracks.hits, tracks.misses, tracks.size_m, tracks.near_offset_m,
+            tracks.n_pixels, tracks.class_probability, memory, *seen, rules, state[2], took, written[4], written[5],
+            counts, means, shape, new_memory,
+        )
+        # fmt: on
+
+    done, grouped, shared = step(seen, took, None, WHOLE), None, False
+    if done:
+        ended, left, lost, ignored = lived(seen, took)
+        shared = settings.recognise_merges and bool(
+            (left and (tracks.status != TrackStatus.TENTATIVE).any())
+            or (lost and hidden(took, tracks.status, written[3], written[4], seen[1], seen[3]))
+        )
+    if not done or shared:
+        took, weights, grouped = _resolved(step, tracks, written, arrays, (seen, done), rules, settings)
+        seen = seen if grouped is None else grouped.seen
+        step(seen, took, weights, PAIRED)
+        ended, left, lost, ignored = lived(seen, took)
+        if grouped is not None:
+            new_memory[:, _GROUP], new_memory[:, _PARTS] = grouped.group, grouped.parts
+            ignored -= int(grouped.used.sum())
+        else:
+            new_memory[:, _PARTS] = lasting_parts(memory, settings.max_parts_frames)
+    return _followed(tracks, written, (counts, means, shape, new_memory), state, ignored), seen, took, ended, left
+
+
+def _resolved(
+    step: Step,
+    tracks: Tracks,
+    written: Written,
+    arrays: tuple[Floats, Floats, Ints],
+    frame: tuple[Seen, bool],
+    rules: Floats,
+    settings: TrackingSettings,
+) -> tuple[Ints, Floats | None, Grouped | None]:
+    """Return which segment each track takes, the weights if they take several, and what merges and splits make of it.
+
+    frame: the segments, and whether nothing competes; `written` is the prediction afterwards.
+    """
+    (memory, cost, took), (seen, alone), (x, P) = arrays, frame, written[3:5]
+    shape, weights = shapes(seen), None
+    if alone:
+        step(seen, took, None, PAIRING)
+    else:
         if settings.use_shape:
             rows, columns = np.nonzero(cost < NO_PAIR)
             cost = pair_shapes(cost, memory, shape, (rows, columns))
@@ -161,25 +190,20 @@ def _associated(
         if settings.association == "joint_probabilistic":
             gate, density = settings.gate_probability, settings.clutter_density_per_m3
             weights = marginals(cost, settings.detection_probability, gate, density)
-    else:
-        step(seen, took, _NO_WEIGHTS, PAIRING)
-    if settings.recognise_merges:
-        rules, R = _constants(settings), np.empty_like(seen[2])
-        complete(seen[2], seen[3], seen[10], rules, R)
-        unseen(x, P, memory, seen[1], seen[3], seen[10], rules, R)
-        scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
-        grouped = regroup(scene, took, settings.max_parts_frames)
+    if not settings.recognise_merges:
+        return took, weights, None
+    R = np.empty_like(seen[2])
+    complete(seen[2], seen[3], seen[10], rules, R)
+    unseen(x, P, memory, seen[1], seen[3], seen[10], rules, R)
+    scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
+    grouped = regroup(scene, took, settings.max_parts_frames)
     if grouped is None:
-        ended, left, ignored = step(seen, took, weights, PAIRED)
-        new_memory[:, _PARTS] = lasting_parts(memory, settings.max_parts_frames)
-        return seen, took, ended, max(left, -1 - left), ignored
-    if weights.size:
+        return took, weights, None
+    if weights is not None:
         weights = np.where(grouped.used, 0.0, weights)
         weights[grouped.took >= len(grouped.used)] = 0.0
         weights = np.pad(weights, ((0, 0), (0, len(grouped.seen[0]) - weights.shape[1])))
-    ended, left, ignored = step(grouped.seen, grouped.took, weights, PAIRED)
-    new_memory[:, _GROUP], new_memory[:, _PARTS] = grouped.group, grouped.parts
-    return grouped.seen, grouped.took, ended, max(left, -1 - left), ignored - int(grouped.used.sum())
+    return grouped.took, weights, grouped
 
 
 def _modes_of(tracks: Tracks, count: int) -> tuple[Floats, Floats, Floats]:
@@ -194,25 +218,30 @@ def _modes_of(tracks: Tracks, count: int) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def _followed(tracks: Tracks, written: tuple[Any, ...], state: State, ignored: int) -> Tracks:
+def _followed(
+    tracks: Tracks, written: Written, lived: tuple[Ints, Floats, Floats, Floats], state: State, ignored: int
+) -> Tracks:
     """Return the tracks with what the kernels have written."""
-    mode_probability, mode_state, mode_covariance, x, P, counts, means, shape, memory = written
-    refused, time_s, ego = state
+    mode_probability, mode_state, mode_covariance, x, P, nis = written
+    counts, means, shape, memory = lived
+    status, age, hits, misses, segment = counts
+    near_offset_m, n_pixels = means
+    refused, time_s, _, ego = state
     return Tracks(
         track_id=tracks.track_id,
-        status=counts[0],
+        status=status,
         state=x,
         covariance=P,
-        age=counts[1],
-        hits=counts[2],
-        misses=counts[3],
+        age=age,
+        hits=hits,
+        misses=misses,
         size_m=shape,
-        near_offset_m=means[0],
-        n_pixels=means[1],
-        segment=counts[4],
+        near_offset_m=near_offset_m,
+        n_pixels=n_pixels,
+        segment=segment,
         class_probability=tracks.class_probability,
         class_memory=tracks.class_memory,
-        nis=means[2],
+        nis=nis,
         mode_probability=mode_probability,
         mode_state=mode_state,
         mode_covariance=mode_covariance,
@@ -238,14 +267,15 @@ def _seen_in(segments: Segments) -> Seen:
         np.asarray(segments.range_m, _FLOAT),
         np.asarray(segments.amplitude, _FLOAT),
         np.asarray(segments.sigma_range_m, _FLOAT),
-        np.asarray(segments.cut, _INT),
+        np.asarray(segments.cut, _BYTE),
     )
 
 
 @lru_cache(maxsize=16)
-def _turns(motion: MotionSettings) -> Floats:
-    """Return for each mode whether it turns."""
-    return np.array([float(mode.model == TURNS) for mode in motion.modes])
+def _turns(motion: MotionSettings) -> tuple[Floats, bool]:
+    """Return for each mode whether it turns, and whether any does."""
+    turns = [mode.model == TURNS for mode in motion.modes]
+    return np.array(turns, float), any(turns)
 
 
 @lru_cache(maxsize=16)
@@ -274,7 +304,6 @@ def _constants(settings: TrackingSettings) -> Floats:
         "euclidean": euclidean,
         "adapt_s": motion.adapt_s,
         "adapt_limit": motion.adapt_limit,
-        "turns": motion.model == TURNS,
         "cut": settings.cut_sigma**2,
     }
     return np.array([float(rules[name]) for name in RULES])

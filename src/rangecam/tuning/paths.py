@@ -9,7 +9,7 @@ import numpy as np
 
 from rangecam.errors import DataError
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.types import POSITION, VELOCITY, Floats, Frame, Ints, Segments, Tracks, TrackStatus
+from rangecam.types import POSITION, VELOCITY, Floats, Frame, Ints, Refused, Segments, TrackStatus, Tracks
 from rangecam.values import value
 
 _APART_M = 1e6  # the paths are filtered side by side, so far apart that none can be taken for another
@@ -47,12 +47,16 @@ class Likelihood(NamedTuple):
 
 
 def follow(url: str, preset: str | None = None, layers: Sequence[Mapping[str, Any]] = (), seed: int = 0) -> Paths:
-    """Perceive a source and return the paths of its confirmed tracks; arguments and errors as of `io.open_source`."""
+    """Perceive a source and return the paths of its confirmed tracks; arguments and errors as of `io.open_source`.
+
+    Merges are not recognised meanwhile: a segment of several tracks is nobody's measurement.
+    """
     from rangecam import pipeline
     from rangecam.io import open_source
 
     opened = open_source(url, preset=preset, layers=layers, seed=seed)
-    frames = pipeline.run(opened.captures, opened.config)
+    alone = dataclasses.replace(opened.config.tracking, recognise_merges=False)
+    frames = pipeline.run(opened.captures, dataclasses.replace(opened.config, tracking=alone))
     return paths_of(opened.name, frames, opened.config.tracking, tuple(opened.notes))
 
 
@@ -61,8 +65,8 @@ def paths_of(name: str, frames: Iterable[Frame], tracking: TrackingSettings, not
     taken, confirmed = [], set()
     for frame in frames:
         tracks, segments = frame.tracks, frame.segments
-        if tracks.time_s != frame.image.time_s:
-            continue  # a late frame, which the tracker ignored
+        if tracks.refused in (Refused.REPEATED, Refused.LATE):
+            continue
         own = np.flatnonzero(tracks.segment > 0)
         row = {label: j for j, label in enumerate(segments.label.tolist())}
         taken.append((tracks.time_s, segments, tracks.track_id[own], [row[label] for label in tracks.segment[own]]))
@@ -114,6 +118,8 @@ def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
         settings,
         gate_probability=1.0,
         association="global",
+        use_shape=False,
+        recognise_merges=False,  # each measurement is one path's
         confirm_hits=1,
         max_misses=paths.gap + 1,  # one more for the step without any segment
         max_position_sigma_m=_APART_M / 2000,
