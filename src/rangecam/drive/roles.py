@@ -173,7 +173,7 @@ def perception(job: Job) -> None:
 
 
 def at_once(settings: DriveSettings) -> DriveSettings:
-    """Return settings for a decision that takes the time that it takes here, instead of that of simulated processors."""
+    """Return settings for a decision that takes the time that it takes here, not that of simulated processors."""
     return replace(settings, result_after_frames=1e-9)
 
 
@@ -229,7 +229,9 @@ def car(job: Job) -> None:
             where = {"time_s": state.time_s, "pose": list(pose_of(state))}
             _tell(out, job.pose_port, where)
             obeys = {"control": int(unit.control), "obeyed_s": now_s}
-            _tell(out, job.report_port, {"role": "car", "speed_mps": state.speed_mps, "born_s": born_s, **where, **obeys})
+            _tell(
+                out, job.report_port, {"role": "car", "speed_mps": state.speed_mps, "born_s": born_s, **where, **obeys}
+            )
             job.sleep(max(0.0, now_s + dt - job.now_s()))
 
 

@@ -34,9 +34,7 @@ class Receiver:
     the address is taken or none.
     """
 
-    def __init__(
-        self, address: Address, clock: Callable[[], float], wall: Callable[[], float] = time.time
-    ) -> None:
+    def __init__(self, address: Address, clock: Callable[[], float], wall: Callable[[], float] = time.time) -> None:
         plain = address.planes
         self._assembler = PlainAssembler([address.shape] * len(plain)) if plain else Assembler()
         self._clock, self._wall = clock, wall
