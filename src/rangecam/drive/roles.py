@@ -26,7 +26,7 @@ from rangecam.drive.bound import starting
 from rangecam.drive.eye import sequence_s
 from rangecam.drive.journey import hand_of, pose_of
 from rangecam.drive.mind import Mind, restarted
-from rangecam.drive.prompt import prompt
+from rangecam.drive.prompt import keep_memory, prompt, sooner
 from rangecam.drive.settings import DriveSettings
 from rangecam.errors import DataError
 from rangecam.io.udp.address import LOOPBACK, Address
@@ -95,6 +95,8 @@ class Job:
 
 def camera(job: Job) -> None:
     """Stream an image each frame period when it is read out, seen from where the car is; skip those missed."""
+    sooner()
+    keep_memory()
     config, period_s = job.config, 1 / job.config.camera.frame_rate_hz
     bundle = ray_bundle(
         config.camera.lens, config.mounting, (config.camera.rows, config.camera.columns), job.scenario.subpixels
@@ -141,6 +143,8 @@ def perception(job: Job) -> None:
 
     It starts as a fault and brakes until it has been seen to work.
     """
+    sooner()
+    keep_memory()
     config, address = job.config, Address(LOOPBACK, job.stream_port, idle_s=_FOREVER_S)
     with ExitStack() as stack:
         bus = stack.enter_context(Bus("udp_multicast", job.channel))
@@ -203,6 +207,8 @@ def car(job: Job) -> None:
     What it does while its process stands still is what it was told last: the actuators know nothing of that. With its
     process the vehicle itself is gone; the next one stands at the start, and stays there until it is let go.
     """
+    sooner()
+    keep_memory()
     scenario, settings, vehicle = job.scenario, job.settings, job.settings.vehicle
     dt, road, born_s = settings.step_s, Road(settings.friction), job.now_s()
     state, unit, command, taken = _at_start(job, born_s), UnitState(), Command(0.0, 1.0), False
