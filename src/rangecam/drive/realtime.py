@@ -69,7 +69,7 @@ def _approach(rig: Rig) -> dict[str, Any]:
 def _stands_again(rig: Rig) -> bool:
     """Return whether the bus has taken over since the driver started, and the car stands."""
     taken = rig.car["control"] == int(Control.BUS) and rig.car["time_s"] > rig.job.go_s.value
-    return taken and rig.car["speed_mps"] < STANDS_MPS
+    return bool(taken and rig.car["speed_mps"] < STANDS_MPS)
 
 
 def _since(events: list[dict[str, Any]], begun_s: float) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ still. What comes in is stamped by the kernel where it can: that a process gets 
 import json
 import math
 import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -54,6 +55,7 @@ that drives on evenly, which at 8 m/s2 is 3 mm beside the truth, and a frame lat
 LEVELS = {"camera": 10, "perception": 20, "car": 30, "watchdog": 30}
 """Who runs before whom (`prompt`)."""
 _FOREVER_S = 1e9
+_SWITCH_S = 5e-4  # for so long may a thread keep the one that takes packets in from going on
 _BRAKED = Hand(-1.0)
 
 
@@ -145,22 +147,25 @@ def perception(job: Job) -> None:
     """
     sooner()
     keep_memory()
-    config, address = job.config, Address(LOOPBACK, job.stream_port, idle_s=_FOREVER_S)
+    config, stale_s = job.config, job.settings.missed_frames / job.config.camera.frame_rate_hz
+    sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as stack:
         bus = stack.enter_context(Bus("udp_multicast", job.channel))
         report = _sending(stack)
-        receiver = Receiver(address, job.clock, job.wall)
-        stack.callback(receiver.close)
+        receiver = _receiver(job)
+        stack.callback(lambda: receiver.close())
         first = None
         while first is None and not job.over.value:
             first = _next(receiver, config, 0.1)
         if first is None:
             return
         warm_up(first[1], config)
-        prompt(LEVELS["perception"])
+        receiver = _renewed(receiver, job)
         mind, signed_s = Mind(config, at_once(job.settings), job.now_s(), unit=restarted()), -math.inf
         while not job.over.value:
             found = _next(receiver, config, job.settings.step_s)
+            if found is not None and job.clock() - found[0] > stale_s:
+                receiver, found = _renewed(receiver, job), None
             if found is not None:
                 mind.see(found[1], found[0] - job.epoch_s)
             while (heard := bus.receive()) is not None:
@@ -174,6 +179,22 @@ def perception(job: Job) -> None:
                 signed_s, state = done_s, mind.unit.state
                 why = {"mode": int(state.mode), "reason": state.cause.reason}
                 _tell(report, job.report_port, {"role": "perception", "time_s": done_s, **why})
+
+
+def _receiver(job: Job) -> Receiver:
+    return Receiver(Address(LOOPBACK, job.stream_port, idle_s=_FOREVER_S), job.clock, job.wall)
+
+
+def _renewed(old: Receiver, job: Job) -> Receiver:
+    """Return a receiver that hears what comes from now on, its thread as prompt as the others.
+
+    A second of packets waits in the kernel for a process that was compiling or frozen. Who works through it is busy with
+    the past, and may never be in time again: what is late is worthless.
+    """
+    old.close()
+    new = _receiver(job)
+    prompt(LEVELS["perception"])
+    return new
 
 
 def at_once(settings: DriveSettings) -> DriveSettings:

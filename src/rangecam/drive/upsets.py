@@ -2,7 +2,6 @@
 
 import signal
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -144,8 +143,9 @@ def _held(rig: Rig, began_s: float) -> bool:
 def upsets(rig: Rig, count: int, rng: np.random.Generator) -> list[Upset]:
     """Return so many upsets: each kind once in a drawn order, again and again."""
     found: list[Upset] = []
-    order: list[Any] = []
+    order: list[tuple[str, str]] = []
     for _ in range(count):
         order = order or [KINDS[k] for k in rng.permutation(len(KINDS))]
-        found.append(upset(rig, *order.pop(), rng))
+        role, action = order.pop()
+        found.append(upset(rig, role, action, rng))
     return found

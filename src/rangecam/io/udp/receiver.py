@@ -112,5 +112,6 @@ def _age_s(stamps: list[tuple[int, int, Any]], now_s: float) -> float:
     for level, kind, data in stamps:
         if level == socket.SOL_SOCKET and kind == _STAMPS and len(data) >= _STAMP.size:
             seconds, nanoseconds = _STAMP.unpack_from(data)
-            return max(0.0, now_s - (seconds + 1e-9 * nanoseconds))
+            stamped_s = float(seconds) + 1e-9 * float(nanoseconds)
+            return max(0.0, now_s - stamped_s)
     return 0.0
