@@ -188,8 +188,8 @@ def _receiver(job: Job) -> Receiver:
 def _renewed(old: Receiver, job: Job) -> Receiver:
     """Return a receiver that hears what comes from now on, its thread as prompt as the others.
 
-    A second of packets waits in the kernel for a process that was compiling or frozen. Who works through it is busy with
-    the past, and may never be in time again: what is late is worthless.
+    A second of packets waits in the kernel for a process that was compiling or frozen. Who works through it is busy
+    with the past, and may never be in time again: what is late is worthless.
     """
     old.close()
     new = _receiver(job)
