@@ -25,6 +25,7 @@ from rangecam.vehicle.dynamics import (
     BRAKE,
     DIRECTION,
     GRAVITY_MPS2,
+    HOLE_S,
     PERIOD_S,
     PHASE,
     WAY,
@@ -245,6 +246,7 @@ def test_the_measured_speed_jumps_from_rest_by_no_more_than_two_roots_of_gain_an
     dt = 1e-3
     gain_mps2 = gain_of_wheels(MODEL, friction * GRAVITY_MPS2)
     state = standing(MODEL)
+    state.motion[HOLE_S] = -1.0  # it has stood for longer than the sensor waits for a hole
     state.motion[PERIOD_S], state.motion[PHASE] = math.inf, phase * MODEL.sensor.hole_m
     told = []
     for _ in range(600):
@@ -252,7 +254,7 @@ def test_the_measured_speed_jumps_from_rest_by_no_more_than_two_roots_of_gain_an
         told.append(measured_speed(state, MODEL))
     largest = np.diff(told).max()
     most = step_of_sensor(MODEL, gain_mps2)
-    assert 0.05 * most < largest < most + gain_mps2 * dt
+    assert 0.1 * most < largest < most + gain_mps2 * dt
 
 
 def test_the_battery_falls_from_7_5_to_6_volts_and_gives_what_is_taken() -> None:
