@@ -25,6 +25,9 @@ from rangecam.vehicle.dynamics import (
     BRAKE,
     DIRECTION,
     GRAVITY_MPS2,
+    HOLE_S,
+    PERIOD_S,
+    PHASE,
     WAY,
     WHEEL,
     WORK,
@@ -36,7 +39,14 @@ from rangecam.vehicle.dynamics import (
     standing,
 )
 from rangecam.vehicle.remote import Hand
-from rangecam.vehicle.sensors import discharged, electricity, measured_speed, open_circuit_v
+from rangecam.vehicle.sensors import (
+    discharged,
+    electricity,
+    gain_of_wheels,
+    measured_speed,
+    open_circuit_v,
+    step_of_sensor,
+)
 from rangecam.vehicle.settings import VEHICLES, Unit, Vehicle, vehicle_named
 from rangecam.vehicle.unit import Control, UnitState, advance_unit
 
@@ -213,6 +223,38 @@ def test_a_timer_without_steps_knows_it_exactly_and_one_without_holes_says_stand
     state = move(standing(car, 0.0, 2.0), Command(), 0.3, car, Road(0.7))
     assert measured_speed(state, car) == pytest.approx(2.0, rel=1e-9)
     assert measured_speed(standing(car), car) == 0
+
+
+@pytest.mark.parametrize(("friction", "gain_mps2"), [(0.3, 20.57), (0.9, 2.5)])
+def test_wheels_gain_speed_no_faster_than_motor_grip_and_inertia_say(friction: float, gain_mps2: float) -> None:
+    vehicle, dt = replace(MODEL, rolling_mps2=0.0), 1e-3
+    assert gain_of_wheels(vehicle, friction * GRAVITY_MPS2) == pytest.approx(gain_mps2, abs=0.01)
+    state = standing(vehicle)
+    wheels = [0.0]
+    for _ in range(20):
+        state = move(state, Command(drive=1.0), dt, vehicle, Road(friction))
+        wheels.append(float(state.motion[WHEEL]))
+    assert np.diff(wheels).max() == pytest.approx(gain_mps2 * dt, rel=0.05)
+    assert gain_of_wheels(VEHICLES["passenger_car"], 0.1) == VEHICLES["passenger_car"].drive_mps2
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.9])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.999])
+def test_the_measured_speed_jumps_from_rest_by_no_more_than_two_roots_of_gain_and_hole(
+    friction: float, phase: float
+) -> None:
+    dt = 1e-3
+    gain_mps2 = gain_of_wheels(MODEL, friction * GRAVITY_MPS2)
+    state = standing(MODEL)
+    state.motion[HOLE_S] = -1.0  # it has stood for longer than the sensor waits for a hole
+    state.motion[PERIOD_S], state.motion[PHASE] = math.inf, phase * MODEL.sensor.hole_m
+    told = []
+    for _ in range(600):
+        state = move(state, Command(drive=1.0), dt, MODEL, Road(friction))
+        told.append(measured_speed(state, MODEL))
+    largest = np.diff(told).max()
+    most = step_of_sensor(MODEL, gain_mps2)
+    assert 0.1 * most < largest < most + gain_mps2 * dt
 
 
 def test_the_battery_falls_from_7_5_to_6_volts_and_gives_what_is_taken() -> None:

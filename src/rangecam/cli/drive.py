@@ -57,10 +57,12 @@ def drive(
             help="Of a single drive: camera, perception and car as processes, connected by UDP and CAN, in real time.",
         ),
     ] = False,
-    duration: Annotated[float, Parameter(help="Of a drive in real time: at most so many seconds.")] = 10.0,
+    duration: Annotated[
+        float, Parameter(help="Of a drive in real time: approach after approach for so many seconds.")
+    ] = 10.0,
     upsets: Annotated[
         int,
-        Parameter(help="Of a drive in real time: kill or freeze a process so often, and see all recover."),
+        Parameter(help="Of a drive in real time: kill, restart or freeze a process so often, and see all recover."),
     ] = 0,
     json: Json = False,
 ) -> None:
@@ -111,7 +113,7 @@ def _in_real_time(
         raise UsageError("expected --duration above zero and --upsets of at least 0")
     result = drive_in_real_time(*opened(name, preset, layers), seed, duration_s, upsets)
     print(json_format.dumps(result) if json else describe(result))
-    if result["collision"] or any(not u["recovered"] or u["stopped_s"] > u["stated_s"] for u in result["upsets"]):
+    if result["collision"] or not all(each["held"] for each in result["upsets"]):
         raise DataError(f"{name}: the car did not stop as stated, or not all recovered")
 
 

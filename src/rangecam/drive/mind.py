@@ -16,6 +16,7 @@ from rangecam.drive.eye import sequence_s
 from rangecam.drive.settings import DriveSettings
 from rangecam.pipeline import Sink, process_frame
 from rangecam.types import Capture, Ego, Frame, RangeImage, Tracks
+from rangecam.vehicle.sensors import gain_of_wheels, step_of_sensor
 
 
 def brake_settings(config: Config, settings: DriveSettings) -> BrakeSettings:
@@ -23,15 +24,19 @@ def brake_settings(config: Config, settings: DriveSettings) -> BrakeSettings:
 
     An image is missed `missed_frames` periods after it should have been processed; a cause may be as old. No speed is
     possible that the vehicle cannot reach. A vehicle whose wheels have locked slides on: it is believed to slow down no
-    faster than on the road that the decision reckons with, else control is given back before it stands.
+    faster than on the road that the decision reckons with, else control is given back before it stands. Its wheels may
+    gain speed as fast as they can spin on that road, and the measured speed may jump by what its sensor does from rest.
     """
     timeout_s = latency_s(config, settings) + settings.missed_frames / config.camera.frame_rate_hz
-    brake = settings.brake
+    brake, vehicle, grip_mps2 = settings.brake, settings.vehicle, full_deceleration(config.decision)
+    gain_mps2 = gain_of_wheels(vehicle, grip_mps2)
     machine = replace(
         brake.machine,
         image_timeout_s=timeout_s,
-        max_speed_mps=1.1 * settings.vehicle.max_speed_mps,
-        sure_deceleration_mps2=full_deceleration(config.decision),
+        max_speed_mps=1.1 * vehicle.max_speed_mps,
+        max_acceleration_mps2=max(brake.machine.max_acceleration_mps2, gain_mps2),
+        speed_step_mps=brake.machine.speed_step_mps + step_of_sensor(vehicle, gain_mps2),
+        sure_deceleration_mps2=grip_mps2,
     )
     return replace(brake, machine=machine, gate=replace(brake.gate, cause_age_s=timeout_s + settings.step_s))
 
@@ -46,13 +51,26 @@ def at_work(start_s: float) -> Unit:
     return Unit(BrakeState(mode=Mode.USER_CONTROL, image_s=start_s, car_s=start_s), arm(Gate()))
 
 
+def restarted() -> Unit:
+    """Return the decision unit as it is after a start at any moment: armed, and not yet seen to work, so it brakes."""
+    return Unit(BrakeState(), arm(Gate()))
+
+
 class Mind:
     """Takes frames of camera and bus, and says what to send; all of its time comes from the caller.
 
-    It begins at work, as after a start at standstill: `start_s` is when image and car state were last good.
+    It begins at work, as after a start at standstill: `start_s` is when image and car state were last good. Or it
+    begins with `unit`.
     """
 
-    def __init__(self, config: Config, settings: DriveSettings, start_s: float, sinks: Sequence[Sink]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        settings: DriveSettings,
+        start_s: float,
+        sinks: Sequence[Sink] = (),
+        unit: Unit | None = None,
+    ) -> None:
         self._config, self._settings, self._sinks = config, settings, sinks
         self._brake = brake_settings(config, settings)
         self._latency_s = latency_s(config, settings)
@@ -62,7 +80,7 @@ class Mind:
         self._waiting: list[tuple[float, int, Perception, Frame]] = []
         self._steer, self._forward, self._ego = 0.0, True, Ego()
         self._inputs = Inputs(start_s)
-        self.unit, self.frames = at_work(start_s), 0
+        self.unit, self.frames = at_work(start_s) if unit is None else unit, 0
         self.frame: Frame | None = None
 
     def see(self, capture: Capture, received_s: float) -> None:

@@ -1,372 +1,186 @@
-"""A drive in real time: processes, the watchdog beside them, what goes wrong on purpose, and what was measured."""
+"""A drive in real time: approach after approach with processes that keep time, then upsets, and what was measured."""
 
 import math
-import multiprocessing
 import os
-import signal
-import socket
-import time
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Any, Self
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from rangecam.brake.machine import CarState, Inputs, Mode, Perception
-from rangecam.brake.rule import GRAVITY_MPS2
-from rangecam.brake.unit import BrakeSettings, Unit, step
-from rangecam.can.bus import Bus
-from rangecam.can.codec import CarStatus1
+from rangecam.brake.machine import Mode
 from rangecam.config import Config
 from rangecam.drive.contact import nearest
-from rangecam.drive.mind import at_work, brake_settings
-from rangecam.drive.roles import ROLES, Job, arrived, listening
+from rangecam.drive.rig import STANDS_MPS, Rig
 from rangecam.drive.settings import DriveSettings
-from rangecam.errors import DataError
-from rangecam.io.udp.address import LOOPBACK
+from rangecam.drive.upsets import upsets
 from rangecam.scene.paths import Pose
 from rangecam.scene.scenario import Scenario
 from rangecam.vehicle.unit import Control
 
-READY_S = 120.0
-"""So long processes may take to start, and to recover: kernels may have to be compiled."""
-_STANDS_MPS = 0.02
-
-
-@dataclass(frozen=True)
-class Upset:
-    """What was done to a process, and how the car stopped: speed then, time until standstill, and the time stated."""
-
-    role: str
-    action: str
-    speed_mps: float
-    stopped_s: float
-    stated_s: float
-    recovered: bool
-
-
-class Rig:
-    """The three processes and a watchdog, as a resource.
-
-    The watchdog is a second decision unit with its own gate, which hears the car and the perception's signs of life:
-    where these cease it brakes to a stop, and gives control back when they are there again.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        config: Config,
-        settings: DriveSettings,
-        seed: int = 0,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._context = multiprocessing.get_context("spawn")
-        self._stack = ExitStack()
-        ports = _free_port(), _free_port()
-        self._reports = listening(self._stack, 0)
-        channel = f"239.{ports[0] % 200 + 20}.{ports[1] // 256}.{ports[1] % 256}"  # none of another rig's
-        self.job = Job(
-            scenario,
-            config,
-            settings,
-            seed,
-            clock(),
-            ports[0],
-            ports[1],
-            self._reports.getsockname()[1],
-            channel,
-            self._context.Value("i", 0, lock=False),
-            self._context.Value("d", math.inf, lock=False),
-            clock,
-            sleep,
-        )
-        self._bus = self._stack.enter_context(Bus("udp_multicast", channel))
-        self._sleep = sleep
-        self._brake: BrakeSettings = brake_settings(config, replace(settings, result_after_frames=1e-9))
-        self._watchdog: Unit | None = None
-        self._inputs = Inputs(0.0)
-        self._processes: dict[str, Any] = {}
-        self.car: dict[str, Any] = {}
-        self.mode, self.sign_s = Mode.FAULT, -math.inf
-        self.cars: list[dict[str, Any]] = []
-        self.frames: list[dict[str, Any]] = []
-        self.events: list[dict[str, Any]] = []
-        for role in ROLES:
-            self.start(role)
-
-    def start(self, role: str) -> None:
-        """Start the process of a role."""
-        process = self._context.Process(target=ROLES[role], args=(self.job,), name=f"rangecam-{role}", daemon=True)
-        process.start()
-        self._processes[role] = process
-
-    def send(self, role: str, number: signal.Signals) -> None:
-        """Send a signal to the process of a role: SIGKILL, SIGSTOP, SIGCONT."""
-        os.kill(self._processes[role].pid, number)
-        if number is signal.SIGKILL:
-            self._processes[role].join()
-
-    def watch(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Take reports in and let the watchdog work until `until`, or for so long; return whether it came true.
-
-        Raises DataError if a process has ended by itself.
-        """
-        end_s = self.job.now_s() + seconds
-        while (now_s := self.job.now_s()) < end_s:
-            for report in arrived(self._reports):
-                self._take(report, now_s)
-            while (heard := self._bus.receive()) is not None:
-                if isinstance(heard.message, CarStatus1):
-                    self._inputs = replace(self._inputs, car=CarState(heard.message.speed_mps, now_s))
-            self._guard(now_s)
-            for role, process in self._processes.items():
-                if process.exitcode not in (None, -signal.SIGKILL):
-                    raise DataError(f"the process of the {role} has ended by itself (exit code {process.exitcode})")
-            if until():
-                return True
-            self._sleep(self.job.settings.step_s)
-        return False
-
-    def _take(self, report: dict[str, Any], now_s: float) -> None:
-        if report["role"] == "car":
-            self.car = report
-            self.cars.append(report)
-        elif report["role"] == "frame":
-            self.frames.append(report)
-        else:
-            if report["mode"] != self.mode:
-                why = report["reason"] if report["mode"] != Mode.USER_CONTROL else ""
-                self._note("perception", Mode(report["mode"]), why)
-            self.mode, self.sign_s = Mode(report["mode"]), now_s
-            number = round(1e3 * report["time_s"])
-            sign = Perception(number, report["time_s"], now_s, brake=False, reason="")
-            self._inputs = replace(self._inputs, perception=sign)
-
-    def _guard(self, now_s: float) -> None:
-        if self._watchdog is None and self._inputs.perception is not None and self._inputs.car is not None:
-            self._watchdog = at_work(now_s)
-        if self._watchdog is not None:
-            self._inputs = replace(self._inputs, time_s=now_s)
-            before = self._watchdog.state.mode
-            self._watchdog, _, frame = step(self._watchdog, self._inputs, self._brake)
-            state = self._watchdog.state
-            if state.mode is not before:
-                self._note("watchdog", state.mode, "" if state.mode is Mode.USER_CONTROL else state.cause.reason)
-            if frame is not None:
-                self._bus.send_frame(frame.can_id, frame.data)
-
-    def _note(self, who: str, mode: Mode, why: str) -> None:
-        self.events.append({"time_s": round(self.job.now_s(), 3), "who": who, "mode": mode.name, "reason": why})
-
-    @property
-    def ready(self) -> bool:
-        """Whether everybody works, and the car obeys its driver."""
-        fresh = self.job.now_s() - self.sign_s < 10 * self.job.settings.step_s
-        obeys = self.car.get("control") == int(Control.REMOTE) and self.job.now_s() - self.car["time_s"] < 1.0
-        guarded = self._watchdog is not None and self._watchdog.state.mode is Mode.USER_CONTROL
-        return fresh and obeys and guarded and self.mode is Mode.USER_CONTROL
-
-    def await_ready(self) -> None:
-        """Wait until everybody works and has done so for a while; raises DataError if that does not come."""
-        if not self.watch(READY_S, lambda: self.ready and not self.watch(0.3, lambda: not self.ready)):
-            raise DataError(f"camera, perception and car do not work together after {READY_S:g} s")
-
-    def go(self) -> None:
-        """Let the driver start."""
-        self.job.go_s.value = self.job.now_s()
-
-    def put_back(self) -> None:
-        """Put the car back to where it started from."""
-        self.job.go_s.value = math.inf
-
-    def close(self) -> None:
-        """End all processes."""
-        self.job.over.value = 1
-        for process in self._processes.values():
-            if process.is_alive():
-                os.kill(process.pid, signal.SIGCONT)
-            process.join(3.0)
-            if process.is_alive():
-                process.kill()
-                process.join()
-        self._stack.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((LOOPBACK, 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def stated_stop_s(speed_mps: float, config: Config, settings: DriveSettings) -> float:
-    """Return within what time the car stands after camera or perception have ceased, or the car's unit goes on.
-
-    The timeout of images (or of the car's state) runs out, two looks and the way over the bus pass, the brakes begin
-    and rise, and friction does the rest, with the speed that the car may have gained until then.
-    """
-    vehicle, machine = settings.vehicle, brake_settings(config, replace(settings, result_after_frames=1e-9)).machine
-    waits_s = (
-        max(machine.image_timeout_s, machine.car_timeout_s) + 4 * settings.step_s + 2 / config.camera.frame_rate_hz
-    )
-    acts_s = vehicle.brake_delay_s + vehicle.brake_rise_s
-    gained_mps = speed_mps + vehicle.drive_mps2 * (waits_s + vehicle.brake_delay_s)
-    return waits_s + acts_s + min(gained_mps, vehicle.max_speed_mps) / (0.9 * settings.friction * GRAVITY_MPS2)
-
-
-def upset(rig: Rig, rng: np.random.Generator) -> Upset:
-    """Do something to a process while the car drives, see it stop, help the process up, and see all recover.
-
-    camera and perception are killed or frozen, the car's own process is frozen for a while; at a random moment.
-    """
-    rig.put_back()
-    rig.await_ready()
-    rig.go()
-    rig.watch(float(rng.uniform(0.4, 1.2)))
-    role, action = _CHOICES[int(rng.integers(len(_CHOICES)))]
-    rig.send(role, signal.SIGKILL if action == "kill" else signal.SIGSTOP)
-    began_s, speed = rig.job.now_s(), float(rig.car["speed_mps"])
-    stated_s = stated_stop_s(speed, rig.job.config, rig.job.settings)
-    if role == "car":
-        frozen_s = float(rng.uniform(0.3, 0.6))
-        rig.watch(frozen_s)
-        rig.send(role, signal.SIGCONT)
-        stated_s += frozen_s
-    rig.watch(3 * stated_s, lambda: rig.car["time_s"] > began_s and rig.car["speed_mps"] < _STANDS_MPS)
-    stopped_s = rig.car["time_s"] - began_s if rig.car["speed_mps"] < _STANDS_MPS else math.inf
-    rig.put_back()
-    if action == "kill":
-        rig.start(role)
-    elif role != "car":
-        rig.send(role, signal.SIGCONT)
-    recovered = rig.watch(READY_S, lambda: rig.ready)
-    return Upset(role, action, speed, stopped_s, stated_s, recovered)
-
-
-_CHOICES = (
-    ("camera", "kill"),
-    ("camera", "freeze"),
-    ("perception", "kill"),
-    ("perception", "freeze"),
-    ("car", "freeze"),
-)
+_LONGER_S = 10.0
+"""Of an approach, which begins at standstill, than of the scenario, which may begin at speed."""
+_BINS_MS = np.arange(0.0, 405.0, 5.0)
 
 
 def drive_in_real_time(
-    scenario: Scenario, config: Config, settings: DriveSettings, seed: int, duration_s: float, upsets: int
+    scenario: Scenario, config: Config, settings: DriveSettings, seed: int, duration_s: float, disturbances: int
 ) -> dict[str, Any]:
-    """Drive a scene in real time for so long, or until the car stands after a take-over, then upset it so often.
+    """Drive a scene in real time again and again for so long, from standstill to the stop, then upset it so often.
 
-    Returns JSON values: what happened, the latencies of every frame and of the take-over, the upsets. Raises DataError
-    if the processes do not come to work together.
+    An approach that has begun within `duration_s` is driven to its end. Returns JSON values: the deadline and latencies
+    of all frames, each approach, the latencies from light to brake, the upsets. Raises DataError if the processes do
+    not come to work together.
     """
     rng = np.random.default_rng(seed)
     with Rig(scenario, config, settings, seed) as rig:
         rig.await_ready()
-        first = len(rig.cars), len(rig.frames), len(rig.events)
-        rig.go()
-        go_s = rig.job.go_s.value
-        rig.watch(duration_s, lambda: _stands_again(rig))
-        cars, frames = rig.cars[first[0] :], rig.frames[first[1] :]
-        events = [{**each, "time_s": round(each["time_s"] - go_s, 3)} for each in rig.events[first[2] :]]
-        found = [upset(rig, rng) for _ in range(upsets)]
-        last = [{**each, "time_s": round(each["time_s"] - go_s, 3)} for each in rig.events[-12:]]
+        rig.hurry()
+        first, begun_s = len(rig.frames), rig.job.now_s()
+        approaches: list[dict[str, Any]] = []
+        while not approaches or rig.job.now_s() < begun_s + duration_s:
+            approaches.append(_approach(rig))
+        frames, took_s = rig.frames[first:], rig.job.now_s() - begun_s
+        found = upsets(rig, disturbances, rng)
+        events, priority = _since(rig.events, begun_s), rig.priority
     return {
         "scenario": scenario.name,
-        "duration_s": round(cars[-1]["time_s"] - go_s, 3) if cars else 0.0,
-        **_outcome(scenario, settings, cars, go_s),
-        **_latencies(config, settings, cars, frames),
+        "duration_s": round(took_s, 3),
+        "priority": priority,
+        "load_average": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        **_deadline(config, frames),
+        **_light_to_brake(approaches),
+        "approaches": approaches,
+        "collision": any(each["collision"] for each in approaches),
         "events": events,
-        "last_events": last,
-        "upsets": [vars(each) for each in found],
+        "upsets": [{**asdict(each), "held": each.held} for each in found],
     }
+
+
+def _approach(rig: Rig) -> dict[str, Any]:
+    """Drive once from standstill until the car stands after a take-over, or for long enough; return what came of it."""
+    rig.put_back()
+    rig.await_ready()
+    first = len(rig.cars), len(rig.frames), len(rig.events)
+    rig.go()
+    rig.watch(rig.job.scenario.duration_s + _LONGER_S, lambda: _stands_again(rig))
+    return _outcome(rig, rig.cars[first[0] :], rig.frames[first[1] :], rig.events[first[2] :])
 
 
 def _stands_again(rig: Rig) -> bool:
     """Return whether the bus has taken over since the driver started, and the car stands."""
-    go_s = rig.job.go_s.value
-    taken = any(report["control"] == int(Control.BUS) for report in rig.cars[-1000:] if report["time_s"] > go_s)
-    return taken and rig.car["speed_mps"] < _STANDS_MPS
+    taken = rig.car["control"] == int(Control.BUS) and rig.car["time_s"] > rig.job.go_s.value
+    return bool(taken and rig.car["speed_mps"] < STANDS_MPS)
 
 
-def _outcome(scenario: Scenario, settings: DriveSettings, cars: list[dict[str, Any]], go_s: float) -> dict[str, Any]:
-    gaps = [
-        nearest(scenario, max(0.0, r["time_s"] - go_s), Pose(*r["pose"]), settings.vehicle, settings.harmless).gap_m
-        for r in cars[::10]
-    ]
-    return {
-        "least_gap_m": round(min(gaps, default=math.inf), 4) if gaps and math.isfinite(min(gaps)) else None,
-        "collision": bool(gaps) and min(gaps) <= 0,
-        "top_speed_mps": round(max((r["speed_mps"] for r in cars), default=0.0), 4),
-        "stands": bool(cars) and cars[-1]["speed_mps"] < _STANDS_MPS,
-    }
+def _since(events: list[dict[str, Any]], begun_s: float) -> list[dict[str, Any]]:
+    return [{**each, "time_s": round(each["time_s"] - begun_s, 3)} for each in events if each["time_s"] >= begun_s]
 
 
-def _latencies(
-    config: Config, settings: DriveSettings, cars: list[dict[str, Any]], frames: list[dict[str, Any]]
+def _outcome(
+    rig: Rig, cars: list[dict[str, Any]], frames: list[dict[str, Any]], events: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return processing times beside their deadline, a frame period, and the times from light to decision and brake."""
+    """Return how an approach went, and when what came between light and brake."""
+    scenario, settings, go_s = rig.job.scenario, rig.job.settings, rig.job.go_s.value
+    driven = [each for each in cars if each["time_s"] > go_s]
+    gaps = [
+        nearest(scenario, each["time_s"] - go_s, Pose(*each["pose"]), settings.vehicle, settings.harmless).gap_m
+        for each in [*driven[::10], *driven[-1:]]
+    ]
+    obeys = next((each for each in driven if each["control"] == int(Control.BUS)), None)
+    faults = [each["reason"] for each in events if each["mode"] == Mode.FAULT.name]
+    cause = None if obeys is None or faults else next((f for f in frames if f["brake"]), None)
+    least_m = min(gaps, default=math.inf)
+    found: dict[str, Any] = {
+        "top_speed_mps": round(max((each["speed_mps"] for each in driven), default=0.0), 3),
+        "stopped_by": "nothing" if obeys is None else (faults[0] if faults else "object"),
+        "stands": bool(driven) and driven[-1]["speed_mps"] < STANDS_MPS,
+        "least_gap_m": round(least_m, 3) if math.isfinite(least_m) else None,
+        "collision": least_m <= 0,
+    }
+    if cause is not None and obeys is not None:
+        exposed_s, bites_s = cause["exposed_s"], obeys["obeyed_s"] + settings.vehicle.brake_delay_s
+        ends_s = {"decision": cause["done_s"], "command": obeys["obeyed_s"], "brake": bites_s}
+        found |= {f"photon_to_{name}_ms": round(1e3 * (end_s - exposed_s), 2) for name, end_s in ends_s.items()}
+    return found
+
+
+def _deadline(config: Config, frames: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return processing times beside their deadline, a frame period, and from light to decision, of all frames."""
     period_ms = 1e3 / config.camera.frame_rate_hz
-    took = np.array([1e3 * (f["done_s"] - f["arrived_s"]) for f in frames])
-    light = np.array([1e3 * (f["done_s"] - f["exposed_s"]) for f in frames])
-    counts, edges = np.histogram(light, np.arange(0.0, 205.0, 5.0))
-    cause = next((f for f in frames if f["brake"]), None)
-    obeys = next((r for r in cars if cause and r["control"] and r["time_s"] >= cause["exposed_s"]), None)
-    bites_s = math.nan if cause is None or obeys is None else obeys["time_s"] + settings.vehicle.brake_delay_s
+    took = np.array([1e3 * (each["done_s"] - each["arrived_s"]) for each in frames])
+    light = np.array([1e3 * (each["done_s"] - each["exposed_s"]) for each in frames])
+    numbers = [each["number"] for each in frames]
     return {
         "frames": len(frames),
+        "missing_frames": max(numbers) - min(numbers) + 1 - len(set(numbers)) if numbers else 0,
         "deadline_ms": round(period_ms, 3),
         "late_frames": int(np.count_nonzero(took > period_ms)),
         "processing_ms": _quantiles(took),
         "photon_to_decision_ms": _quantiles(light),
-        "photon_to_decision_histogram": {"edges_ms": edges.tolist(), "frames": counts.tolist()},
-        "photon_to_brake_ms": None
-        if math.isnan(bites_s) or cause is None
-        else round(1e3 * (bites_s - cause["exposed_s"]), 1),
+        "photon_to_decision_histogram": _histogram(light),
     }
+
+
+def _light_to_brake(approaches: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return, of all stops for an object, the times from the start of the exposure to command and brake."""
+    found: dict[str, Any] = {}
+    for name in ("photon_to_command", "photon_to_brake"):
+        times = np.array([each[f"{name}_ms"] for each in approaches if f"{name}_ms" in each])
+        found |= {f"{name}_ms": _quantiles(times), f"{name}_histogram": _histogram(times)}
+    return found
+
+
+def _histogram(values: Any) -> dict[str, Any]:
+    """Return bins of 5 ms; what is beyond the last counts there."""
+    counts, edges = np.histogram(np.minimum(values, _BINS_MS[-1]), _BINS_MS)
+    return {"edges_ms": edges.tolist(), "count": counts.tolist()}
+
+
+_QUANTILES = {"p50": 50, "p99": 99, "p99.9": 99.9, "max": 100}
 
 
 def _quantiles(values: Any) -> dict[str, float] | None:
     if not len(values):
         return None
-    return {name: round(float(np.percentile(values, q)), 3) for name, q in (("p50", 50), ("p99", 99), ("max", 100))}
+    return {name: round(float(np.percentile(values, q)), 3) for name, q in _QUANTILES.items()}
 
 
 def describe(result: dict[str, Any]) -> str:
     """Return a drive in real time as lines for people."""
-    took, light = result["processing_ms"], result["photon_to_decision_ms"]
-    lines = [f"{result['scenario']}: {result['duration_s']:.2f} s in real time, {result['frames']} frames perceived"]
-    if took is not None:
+    lines = [
+        f"{result['scenario']}: {result['duration_s']:.1f} s in real time, {len(result['approaches'])} approaches, "
+        f"{result['frames']} frames perceived, {result['missing_frames']} missing",
+        f"processes  {_PRIORITIES[result['priority']]}",
+    ]
+    if result["processing_ms"] is not None:
         deadline = f"{result['late_frames']} later than their deadline of {result['deadline_ms']:.1f} ms"
-        lines.append(f"processing {took['p50']:.1f} ms (99 %: {took['p99']:.1f} ms), {deadline}")
-        lines.append(f"latency    {light['p50']:.1f} ms from light to decision (99 %: {light['p99']:.1f} ms)")
+        lines.append(f"processing {_line(result['processing_ms'])}, {deadline}")
+        lines.append(f"decision   {_line(result['photon_to_decision_ms'])} after the light")
     if result["photon_to_brake_ms"] is not None:
-        lines.append(f"brake      {result['photon_to_brake_ms']:.0f} ms after the light of the image that demanded it")
-    gap = "nothing near" if result["least_gap_m"] is None else f"least gap {result['least_gap_m']:.2f} m"
-    lines.append(
-        f"way        up to {result['top_speed_mps']:.2f} m/s, {gap}{', COLLISION' if result['collision'] else ''}"
-    )
-    for each in result["events"]:
-        because = f": {each['reason']}" if each["reason"] else ""
-        lines.append(
-            f"           {each['time_s']:.2f} s {each['who']} {each['mode'].lower().replace('_', ' ')}{because}"
-        )
-    for each in result["upsets"]:
-        stop = (
-            f"stopped from {each['speed_mps']:.2f} m/s in {each['stopped_s']:.2f} s (stated {each['stated_s']:.2f} s)"
-        )
-        lines.append(
-            f"upset      {each['role']} {each['action']}: {stop}, {'recovered' if each['recovered'] else 'LOST'}"
-        )
+        lines.append(f"command    {_line(result['photon_to_command_ms'])} after the light")
+        lines.append(f"brake      {_line(result['photon_to_brake_ms'])} after the light")
+    for each in result["approaches"]:
+        gap = "nothing near" if each["least_gap_m"] is None else f"least gap {each['least_gap_m']:.2f} m"
+        hit = ", COLLISION" if each["collision"] else ""
+        lines.append(f"approach   up to {each['top_speed_mps']:.2f} m/s, stopped by {each['stopped_by']}, {gap}{hit}")
+    lines += [_upset_line(each) for each in result["upsets"]]
     return "\n".join(lines)
+
+
+_PRIORITIES = {
+    "real-time": "run before all others",
+    "priority": "have a larger share of the processors",
+    "usual": "run like all others: more is not permitted to this user, and images may come late",
+}
+
+
+def _line(quantiles: dict[str, float]) -> str:
+    return f"{quantiles['p50']:.1f} ms (99 %: {quantiles['p99']:.1f} ms, max {quantiles['max']:.1f} ms)"
+
+
+def _upset_line(each: dict[str, Any]) -> str:
+    took = "NEVER" if each["took_s"] is None else f"{each['took_s']:.2f} s"
+    late = "" if each["took_s"] is None or each["took_s"] <= each["stated_s"] else " LATE"
+    back = "LOST" if each["recovered_s"] is None else f"recovered after {each['recovered_s']:.1f} s"
+    what = f"{each['role']} {each['action']} at {each['speed_mps']:.2f} m/s"
+    return f"upset      {what}: {each['claim']} after {took}{late} (stated {each['stated_s']:.2f} s), {back}"

@@ -4,12 +4,13 @@
 
 What a role needs is in a `Job`; it runs until `over` is set, and may be killed or frozen at any moment. Everybody
 counts seconds on one monotonic clock from `epoch_s` on. Until `go_s` the driver waits at the start and the scene stands
-still.
+still. What comes in is stamped by the kernel where it can: that a process gets to it late does not make it late.
 """
 
 import json
 import math
 import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -25,8 +26,10 @@ from rangecam.config import Config
 from rangecam.drive.bound import starting
 from rangecam.drive.eye import sequence_s
 from rangecam.drive.journey import hand_of, pose_of
-from rangecam.drive.mind import Mind
+from rangecam.drive.mind import Mind, restarted
+from rangecam.drive.prompt import keep_memory, prompt, sooner
 from rangecam.drive.settings import DriveSettings
+from rangecam.errors import DataError
 from rangecam.io.udp.address import LOOPBACK, Address
 from rangecam.io.udp.modes import capture_of
 from rangecam.io.udp.packets import read_text
@@ -34,10 +37,10 @@ from rangecam.io.udp.receiver import Receiver
 from rangecam.io.udp.sender import Stream
 from rangecam.pipeline import warm_up
 from rangecam.scene.paths import Pose
-from rangecam.scene.render import ray_bundle
+from rangecam.scene.render import RayBundle, ray_bundle
 from rangecam.scene.scenario import Scenario
-from rangecam.types import Capture
-from rangecam.vehicle.dynamics import DIRECTION, SPEED, WHEEL, Command, Road, move
+from rangecam.types import Capture, Frame
+from rangecam.vehicle.dynamics import DIRECTION, PERIOD_S, SPEED, WHEEL, Command, Road, VehicleState, move
 from rangecam.vehicle.remote import Hand
 from rangecam.vehicle.sensors import discharged
 from rangecam.vehicle.unit import Control, UnitState, advance_unit
@@ -46,10 +49,13 @@ LINK_MBIT = 400.0
 """Of the stream: a frame is on its way for some milliseconds, and small buffers hold it."""
 SIGN_S = 0.02
 """The perception says so often that it lives."""
-START_THROTTLE = 0.4
-"""The driver gives no more: the wheel tells no speed before its second hole, and a brisk start from rest looks to the
-brake like a speed that jumps."""
+AHEAD_S = 0.022
+"""The camera computes an image so long before its read-out ends, as a sensor would have it for nothing then: of a car
+that drives on evenly, which at 8 m/s2 is 3 mm beside the truth, and a frame late behind one that begins to brake."""
+LEVELS = {"camera": 10, "perception": 20, "car": 30, "watchdog": 30}
+"""Who runs before whom (`prompt`)."""
 _FOREVER_S = 1e9
+_SWITCH_S = 5e-4  # for so long may a thread keep the one that takes packets in from going on
 _BRAKED = Hand(-1.0)
 
 
@@ -74,10 +80,15 @@ class Job:
     go_s: Any
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
+    wall: Callable[[], float] = time.time
 
     def now_s(self) -> float:
         """Return the time of everybody."""
         return self.clock() - self.epoch_s
+
+    def came_s(self, stamp_s: float) -> float:
+        """Return when a frame of the bus came that the kernel stamped by the time of day; now if that was set back."""
+        return self.now_s() - max(0.0, self.wall() - stamp_s)
 
     def scene_s(self, time_s: float) -> float:
         """Return the time in the scene, 0 before the driver starts."""
@@ -85,31 +96,41 @@ class Job:
 
 
 def camera(job: Job) -> None:
-    """Take an image each frame period from where the car is, and stream it when it is read out; skip late ones."""
+    """Stream an image each frame period when it is read out, seen from where the car is; skip those missed."""
+    sooner()
+    keep_memory()
     config, period_s = job.config, 1 / job.config.camera.frame_rate_hz
     bundle = ray_bundle(
         config.camera.lens, config.mounting, (config.camera.rows, config.camera.columns), job.scenario.subpixels
     )
-    half_s, at = sequence_s(config.camera) / 2, (0.0, pose_of(starting(job.scenario, job.settings)))
+    half_s, at, k = sequence_s(config.camera) / 2, (0.0, pose_of(_at_start(job, 0.0))), -1
     with ExitStack() as stack:
         poses = listening(stack, job.pose_port)
         stream = stack.enter_context(Stream(f"udp://{LOOPBACK}:{job.stream_port}", config, link_mbit=LINK_MBIT))
+        _image(job, bundle, 0, 0.0, at)  # compiled
+        prompt(LEVELS["camera"])
         while not job.over.value:
-            k = math.ceil((job.now_s() - half_s) / period_s)
-            middle_s = k * period_s
-            job.sleep(max(0.0, middle_s + half_s - job.now_s()))
+            k = max(k + 1, math.ceil((job.now_s() + AHEAD_S / 2 - half_s) / period_s))
+            read_s = k * period_s + half_s
+            job.sleep(max(0.0, read_s - AHEAD_S - job.now_s()))
             for text in arrived(poses):
                 at = text["time_s"], Pose(*text["pose"])
+            capture = _image(job, bundle, k, k * period_s, at)
+            job.sleep(max(0.0, read_s - job.now_s()))
+            stream.write(capture)
 
-            def own(
-                scene_s: float, at: tuple[float, Pose] = at, offset_s: float = middle_s - job.scene_s(middle_s)
-            ) -> Pose:
-                return _moved_on(*at, scene_s + offset_s)
 
-            scene_s, seeds = job.scene_s(middle_s), [job.seed, max(k, 0)]
-            looks = look(job.scenario, config, bundle, scene_s, np.random.default_rng([*seeds, 1]), own)
-            raw = SIMULATE[config.camera.kind](looks, config.camera, scene_s, np.random.default_rng(seeds))
-            stream.write(Capture(replace(raw, time_s=middle_s, frame_id=k)))
+def _image(job: Job, bundle: RayBundle, number: int, middle_s: float, at: tuple[float, Pose]) -> Capture:
+    """Return image `number` with its exposures around `middle_s`, from a car whose pose `at` was that at its time."""
+    offset_s = middle_s - job.scene_s(middle_s)
+
+    def own(scene_s: float) -> Pose:
+        return _moved_on(*at, scene_s + offset_s)
+
+    scene_s, seeds = job.scene_s(middle_s), [job.seed, number]
+    looks = look(job.scenario, job.config, bundle, scene_s, np.random.default_rng([*seeds, 1]), own)
+    raw = SIMULATE[job.config.camera.kind](looks, job.config.camera, scene_s, np.random.default_rng(seeds))
+    return Capture(replace(raw, time_s=middle_s, frame_id=number))
 
 
 def _moved_on(known_s: float, pose: Pose, time_s: float) -> Pose:
@@ -120,60 +141,105 @@ def _moved_on(known_s: float, pose: Pose, time_s: float) -> Pose:
 
 
 def perception(job: Job) -> None:
-    """Take the stream in, perceive, decide, and send take-overs over the bus; report each frame and a sign of life."""
-    config, address = job.config, Address(LOOPBACK, job.stream_port, idle_s=_FOREVER_S)
-    settings = replace(job.settings, result_after_frames=1e-9)  # processing takes the time that it takes here
+    """Take the stream in, perceive, decide, and send take-overs over the bus; report each frame and a sign of life.
+
+    It starts as a fault and brakes until it has been seen to work.
+    """
+    sooner()
+    keep_memory()
+    config, stale_s = job.config, job.settings.missed_frames / job.config.camera.frame_rate_hz
+    sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as stack:
         bus = stack.enter_context(Bus("udp_multicast", job.channel))
         report = _sending(stack)
-        receiver = Receiver(address, job.clock)
-        stack.callback(receiver.close)
+        receiver = _receiver(job)
+        stack.callback(lambda: receiver.close())
         first = None
         while first is None and not job.over.value:
-            first = receiver.next_frame(0.1)
+            first = _next(receiver, config, 0.1)
         if first is None:
             return
-        warm_up(_capture(first[1], config), config)
-        mind, signed_s = Mind(config, settings, job.now_s(), ()), -math.inf
+        warm_up(first[1], config)
+        receiver = _renewed(receiver, job)
+        mind, signed_s = Mind(config, at_once(job.settings), job.now_s(), unit=restarted()), -math.inf
         while not job.over.value:
-            found = receiver.next_frame(settings.step_s)
-            began_s = job.now_s()
+            found = _next(receiver, config, job.settings.step_s)
+            if found is not None and job.clock() - found[0] > stale_s:
+                receiver, found = _renewed(receiver, job), None
             if found is not None:
-                mind.see(_capture(found[1], config), found[0] - job.epoch_s)
+                mind.see(found[1], found[0] - job.epoch_s)
             while (heard := bus.receive()) is not None:
-                mind.hear(CanFrame(heard.can_id, heard.data), job.now_s())
+                mind.hear(CanFrame(heard.can_id, heard.data), job.came_s(heard.time_s))
             for frame in mind.think(job.now_s()):
                 bus.send_frame(frame.can_id, frame.data)
             done_s = job.now_s()
             if found is not None and mind.frame is not None:
-                raw, brake = mind.frame.raw, mind.frame.decision.brake
-                times = {"exposed_s": raw.time_s, "arrived_s": found[0] - job.epoch_s, "began_s": began_s}
-                _tell(report, job.report_port, {"role": "frame", **times, "done_s": done_s, "brake": brake})
+                _tell(report, job.report_port, _of_frame(mind.frame, found[0] - job.epoch_s, done_s, config))
             if done_s - signed_s >= SIGN_S:
-                signed_s = done_s
-                state = mind.unit.state
+                signed_s, state = done_s, mind.unit.state
                 why = {"mode": int(state.mode), "reason": state.cause.reason}
                 _tell(report, job.report_port, {"role": "perception", "time_s": done_s, **why})
 
 
-def _capture(received: Any, config: Config) -> Capture:
-    return capture_of(read_text(received.debug[0]), read_text(received.debug[1]), received.images, config)
+def _receiver(job: Job) -> Receiver:
+    return Receiver(Address(LOOPBACK, job.stream_port, idle_s=_FOREVER_S), job.clock, job.wall)
+
+
+def _renewed(old: Receiver, job: Job) -> Receiver:
+    """Return a receiver that hears what comes from now on, its thread as prompt as the others.
+
+    A second of packets waits in the kernel for a process that was compiling or frozen. Who works through it is busy
+    with the past, and may never be in time again: what is late is worthless.
+    """
+    old.close()
+    new = _receiver(job)
+    prompt(LEVELS["perception"])
+    return new
+
+
+def at_once(settings: DriveSettings) -> DriveSettings:
+    """Return settings for a decision that takes the time that it takes here, not that of simulated processors."""
+    return replace(settings, result_after_frames=1e-9)
+
+
+def _next(receiver: Receiver, config: Config, timeout_s: float) -> tuple[float, Capture] | None:
+    """Return the next frame and when it came; None if none comes in time, or it is not one of this camera."""
+    found = receiver.next_frame(timeout_s)
+    if found is None:
+        return None
+    came_s, received = found
+    try:
+        words = read_text(received.debug[0]), read_text(received.debug[1])
+        return came_s, capture_of(*words, received.images, config)
+    except DataError:
+        receiver.unreadable += 1
+        return None
+
+
+def _of_frame(frame: Frame, arrived_s: float, done_s: float, config: Config) -> dict[str, Any]:
+    exposed_s = frame.raw.time_s - sequence_s(config.camera) / 2
+    times = {"exposed_s": exposed_s, "arrived_s": arrived_s, "done_s": done_s}
+    return {"role": "frame", "number": frame.raw.frame_id, "brake": frame.decision.brake, **times}
 
 
 def car(job: Job) -> None:
     """Be the vehicle: its control unit on the bus, its driver, its motion; report where it is and who it obeys.
 
-    What it does while its process stands still is what it was told last: the actuators know nothing of that.
+    What it does while its process stands still is what it was told last: the actuators know nothing of that. With its
+    process the vehicle itself is gone; the next one stands at the start, and stays there until it is let go.
     """
+    sooner()
+    keep_memory()
     scenario, settings, vehicle = job.scenario, job.settings, job.settings.vehicle
-    dt, road = settings.step_s, Road(settings.friction)
-    state, unit, command, taken = _at_start(job, 0.0), UnitState(), Command(0.0, 1.0), False
+    dt, road, born_s = settings.step_s, Road(settings.friction), job.now_s()
+    state, unit, command, taken = _at_start(job, born_s), UnitState(), Command(0.0, 1.0), False
     hand_of(scenario, 0.0, discharged(move(state, command, dt, vehicle, road), vehicle, dt), vehicle, False)  # compiled
     with ExitStack() as stack:
         bus = stack.enter_context(Bus("udp_multicast", job.channel))
         out = _sending(stack)
+        prompt(LEVELS["car"])
         while not job.over.value:
-            now_s, started = job.now_s(), math.isfinite(job.go_s.value)
+            now_s, started = job.now_s(), born_s < job.go_s.value < math.inf
             if not started:
                 state, taken = _at_start(job, now_s), False
             while started and state.time_s + dt <= now_s:
@@ -184,23 +250,24 @@ def car(job: Job) -> None:
             taken = taken or unit.control is Control.BUS
             lets_go = settings.driver == "lets_go" and taken
             hand = hand_of(scenario, job.scene_s(now_s), state, vehicle, lets_go) if started else _BRAKED
-            hand = hand._replace(throttle=min(hand.throttle, START_THROTTLE))
             unit, command, status = advance_unit(unit, now_s, frames, hand, state, vehicle)
             for frame in status:
                 bus.send_frame(frame.can_id, frame.data)
-            pose = pose_of(state)
-            where = {"time_s": state.time_s, "pose": list(pose)}
+            where = {"time_s": state.time_s, "pose": list(pose_of(state))}
             _tell(out, job.pose_port, where)
-            told = {"wheel_mps": float(state.motion[WHEEL]), "control": int(unit.control), "at_start": not started}
-            _tell(out, job.report_port, {"role": "car", **where, "speed_mps": state.speed_mps, **told})
+            obeys = {"control": int(unit.control), "obeyed_s": now_s}
+            _tell(
+                out, job.report_port, {"role": "car", "speed_mps": state.speed_mps, "born_s": born_s, **where, **obeys}
+            )
             job.sleep(max(0.0, now_s + dt - job.now_s()))
 
 
-def _at_start(job: Job, time_s: float) -> Any:
+def _at_start(job: Job, time_s: float) -> VehicleState:
     """Return the vehicle standing at the beginning of its way."""
-    state = replace(starting(job.scenario, job.settings, 0.0), time_s=time_s)
+    state = replace(starting(job.scenario, job.settings), time_s=time_s)
     state.motion[SPEED] = state.motion[WHEEL] = 0.0
     state.motion[DIRECTION] = 1.0
+    state.motion[PERIOD_S] = math.inf
     return state
 
 

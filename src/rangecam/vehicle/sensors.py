@@ -23,6 +23,28 @@ def measured_speed(state: VehicleState, vehicle: Vehicle) -> float:
     return sensor.hole_m / max(period_s, since_s)
 
 
+def gain_of_wheels(vehicle: Vehicle, grip_mps2: float) -> float:
+    """Return how fast wheels can gain speed in m/s2 on a road with grip mu g.
+
+    By full throttle, with the vehicle while they hold. Where the motor is stronger than the grip of its axle they spin,
+    and what is left accelerates their own inertia: (drive - grip share) / inertia, many times as much.
+    """
+    left_mps2 = vehicle.drive_mps2 - grip_mps2 * vehicle.driven_load
+    if vehicle.antilock or left_mps2 <= 0:
+        return vehicle.drive_mps2
+    return max(vehicle.drive_mps2, left_mps2 / vehicle.wheel_inertia)
+
+
+def step_of_sensor(vehicle: Vehicle, gain_mps2: float) -> float:
+    """Return the largest step in m/s of the measured speed beyond what the wheels gain between two messages.
+
+    From rest nothing is known before the second hole. It comes after at most twice the way h from hole to hole, when
+    the wheels turn no faster than v = sqrt(2 a 2 h) = 2 sqrt(a h). Later the speed lags by half the time between two
+    holes, which is less: a h / (2 v) < sqrt(a h) / 4.
+    """
+    return 2 * math.sqrt(gain_mps2 * vehicle.sensor.hole_m)
+
+
 class Power(NamedTuple):
     """What the vehicle measures of its electricity."""
 
