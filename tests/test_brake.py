@@ -335,6 +335,13 @@ def test_what_is_beside_the_path_must_have_been_seen_to_move_into_it(doubt: dict
         assert decided({**WALKER, **doubt}, ego=ego, corridor=trusting, min_probability=0.3).brake
 
 
+def test_what_is_not_seen_does_not_drift_into_the_path() -> None:
+    at_the_edge = {"x": 2.3, "vx": -3.0, "y": 0.48, "status": float(TrackStatus.COASTING)}
+    assert not decided(at_the_edge, ego=Ego(speed_mps=3.0)).brake
+    assert decided({**at_the_edge, "status": float(TrackStatus.CONFIRMED)}, ego=Ego(speed_mps=3.0)).brake
+    assert decided({**at_the_edge, "y": 0.46}, ego=Ego(speed_mps=3.0)).brake
+
+
 def test_our_own_bend_takes_us_to_what_stands_beside_the_way() -> None:
     yaw_rate, x, y = 0.8, 2.2, 0.75
     stands = {"x": x, "vx": -3.0 + yaw_rate * y, "y": y, "vy": -yaw_rate * x}

@@ -72,7 +72,9 @@ def look(
         outline = (depth + limits[1]) / 2, (width + max(size[i, 1], 0.0)) / 2, limits[3]
         p_lateral = _collision(P, distance, where, outline, limits, points, z, new[:, i])
         now = distance + x[1] * lag
-        inside = abs(x[3]) <= outline[1]
+        # where nothing was seen, a track goes on with a speed that nobody measures: it may not drift into the path
+        drifts = 0.0 if status[i] == _CONFIRMED else limits[10] * math.sqrt(P[3, 3])
+        inside = abs(x[3]) + drifts <= outline[1]
         if not inside and new[3, i] >= min_probability:
             seen = hits[i] if status[i] == _CONFIRMED else 0
             inside = _comes_in(x, P, seen, nis[i], where, outline, limits, yaw_rate)
