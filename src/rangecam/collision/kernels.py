@@ -75,7 +75,7 @@ def look(
         # where nothing was seen, a track goes on with a speed that nobody measures: it may not drift into the path
         drifts = 0.0 if status[i] == _CONFIRMED else limits[10] * math.sqrt(P[3, 3])
         inside = abs(x[3]) + drifts <= outline[1]
-        if not inside and new[3, i] >= min_probability:
+        if abs(x[3]) > outline[1] and new[3, i] >= min_probability:
             seen = hits[i] if status[i] == _CONFIRMED else 0
             inside = _comes_in(x, P, seen, nis[i], where, outline, limits, yaw_rate)
         if inside and now + depth > 0 and math.isfinite(now) and status[i] != _TENTATIVE:
