@@ -33,6 +33,7 @@ def tracks_of(*rows: dict[str, float]) -> Tracks:
     n = len(rows)
     usual = {"x": 5.0, "vx": 0.0, "y": 0.0, "vy": 0.0, "sigma_v": 0.05, "width": 0.4, "near": 0.0, "pixels": 200.0}
     usual |= {"status": float(TrackStatus.CONFIRMED), "depth": 0.3, "class": 0.0}
+    usual |= {"age": 9.0, "hits": 9.0, "nis": 1.0}
     column = {key: np.array([row.get(key, value) for row in rows]) for key, value in usual.items()}
     state, covariance = np.zeros((n, 9)), np.zeros((n, 9, 9))
     for place, key in ((0, "x"), (1, "vx"), (3, "y"), (4, "vy")):
@@ -45,15 +46,15 @@ def tracks_of(*rows: dict[str, float]) -> Tracks:
         status=column["status"].astype(int),
         state=state,
         covariance=covariance,
-        age=np.full(n, 9),
-        hits=np.full(n, 9),
+        age=column["age"].astype(int),
+        hits=column["hits"].astype(int),
         misses=np.zeros(n, int),
         size_m=np.column_stack([column["depth"], column["width"], np.full(n, 0.5)]),
         near_offset_m=column["near"],
         n_pixels=column["pixels"],
         segment=np.arange(1, n + 1),
         class_probability=np.eye(4)[column["class"].astype(int)],
-        nis=np.ones(n),
+        nis=column["nis"],
         mode_probability=np.ones((n, 0)),
         mode_state=np.ones((n, 0, 9)),
         mode_covariance=np.ones((n, 0, 9, 9)),
@@ -255,6 +256,7 @@ def test_where_nobody_measures_the_own_speed_the_closing_speed_decides() -> None
     ("row", "ego", "ending"),
     [
         ({"x": 2.3, "vx": -3.0, "pixels": 9.0}, Ego(speed_mps=3.0), ", but it is seen with 9 pixels only"),
+        ({"x": 2.3, "vx": -3.0, "hits": 5.0}, Ego(speed_mps=3.0), ", but it was seen in 5 of 9 frames only"),
         ({"x": 2.3, "vx": -3.0}, Ego(speed_mps=3.0, forward=False), ", but we drive backwards"),
         ({"x": 0.2, "vx": -1.0, "pixels": 800.0}, Ego(speed_mps=0.3), ", but we are slow"),
         ({"x": 8.0, "vx": -3.0}, Ego(speed_mps=3.0), "stopping needs 2.2 m"),
@@ -297,6 +299,55 @@ def test_one_who_walks_into_the_path_counts_before_he_is_in_it() -> None:
     assert decided(walker, ego=Ego(speed_mps=3.0)).brake
     assert not decided(walker, ego=Ego(speed_mps=3.0), min_probability=1.0).brake
     assert not decided({**walker, "vy": 0.0}, ego=Ego(speed_mps=3.0)).brake
+
+
+@pytest.mark.parametrize(("hits", "age"), [(6.0, 9.0), (9.0, 9.0), (10.0, 90.0)])
+def test_what_is_seen_most_of_the_time_or_has_been_for_long_is_braked_for(hits: float, age: float) -> None:
+    assert decided({"x": 2.3, "vx": -3.0, "hits": hits, "age": age}, ego=Ego(speed_mps=3.0)).brake
+
+
+def test_how_often_an_object_must_be_seen_can_be_set() -> None:
+    flicker = {"x": 2.3, "vx": -3.0, "hits": 5.0}
+    assert decided(flicker, ego=Ego(speed_mps=3.0), min_seen=0.5).brake
+    assert decided(flicker, ego=Ego(speed_mps=3.0), sure_hits=5).brake
+
+
+WALKER = {"x": 3.0, "vx": -3.0, "y": -1.2, "vy": 1.2, "sigma_v": 0.2}
+
+
+@pytest.mark.parametrize(
+    "doubt",
+    [
+        {"sigma_v": 0.5},  # as if it stood, within three standard deviations
+        {"nis": 15.0},  # its innovations say that the speed is less certain
+        {"hits": 5.0, "age": 5.0},
+        {"status": float(TrackStatus.COASTING)},
+    ],
+)
+def test_what_is_beside_the_path_must_have_been_seen_to_move_into_it(doubt: dict[str, float]) -> None:
+    ego, trusting = Ego(speed_mps=3.0), CorridorSettings(crossing_sigmas=0.0, crossing_hits=0)
+    assert decided(WALKER, ego=ego).brake
+    doubtful = decided({**WALKER, **doubt}, ego=ego)
+    assert (doubtful.brake, doubtful.reason) == (False, "no object in the path")
+    in_path = decided({**WALKER, **doubt, "y": 0.0, "vy": 0.0}, ego=ego)
+    assert in_path.brake
+    if "status" not in doubt:
+        assert decided({**WALKER, **doubt}, ego=ego, corridor=trusting, min_probability=0.3).brake
+
+
+def test_what_is_not_seen_does_not_drift_into_the_path() -> None:
+    at_the_edge = {"x": 2.3, "vx": -3.0, "y": 0.48, "status": float(TrackStatus.COASTING)}
+    assert not decided(at_the_edge, ego=Ego(speed_mps=3.0)).brake
+    assert decided({**at_the_edge, "status": float(TrackStatus.CONFIRMED)}, ego=Ego(speed_mps=3.0)).brake
+    assert decided({**at_the_edge, "y": 0.46}, ego=Ego(speed_mps=3.0)).brake
+
+
+def test_our_own_bend_takes_us_to_what_stands_beside_the_way() -> None:
+    yaw_rate, x, y = 0.8, 2.2, 0.75
+    stands = {"x": x, "vx": -3.0 + yaw_rate * y, "y": y, "vy": -yaw_rate * x}
+    assert decided(stands, ego=Ego(speed_mps=3.0, yaw_rate_radps=yaw_rate)).brake
+    turned_away = {**stands, "vx": -3.0 - yaw_rate * y, "vy": yaw_rate * x}
+    assert not decided(turned_away, ego=Ego(speed_mps=3.0, yaw_rate_radps=-yaw_rate)).brake
 
 
 def test_the_corridor_can_be_widened_and_moved_to_the_bumper() -> None:

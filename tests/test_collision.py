@@ -199,4 +199,5 @@ def test_the_tracks_in_the_path_come_nearest_first_with_what_is_known_of_them() 
     nearest = in_path[0]
     assert (nearest.distance_m, nearest.speed_x_mps, nearest.n_pixels, nearest.class_index) == (3.5, -1, 100, 1)
     assert nearest.speed_sigma_mps == pytest.approx(0.2)
-    assert nearest[-3:] == (collisions.ttc_s[1], collisions.ttc_sigma_s[1], collisions.p_collision[1])
+    expected = nearest.ttc_s, nearest.ttc_sigma_s, nearest.p_collision
+    assert expected == (collisions.ttc_s[1], collisions.ttc_sigma_s[1], collisions.p_collision[1])

@@ -7,6 +7,7 @@ from rangecam.brake.rule import (
     Threat,
     is_in_range,
     is_object,
+    is_seen,
     keeps_braking,
     needed_deceleration,
     stopping_distance,
@@ -93,6 +94,8 @@ def _threat(track: InPath, own_speed_mps: float | None, settings: DecisionSettin
         -track.covariance,
         min(max(braking, 0.0), full_deceleration(settings)) if closing > 0 else 0.0,
         track.p_lateral,
+        track.hits,
+        track.age,
     )
 
 
@@ -110,6 +113,8 @@ def _reason(
         return f"{phrase}, but the camera cannot see so far"
     if not is_object(threat, settings):
         return f"{phrase}, but it is seen with {threat.n_pixels:.0f} pixels only"
+    if not is_seen(threat, settings):
+        return f"{phrase}, but it was seen in {threat.hits:.0f} of {threat.age:.0f} frames only"
     if not forward:
         return f"{phrase}, but we drive backwards"
     return phrase if own_speed_mps > settings.min_speed_mps else f"{phrase}, but we are slow"

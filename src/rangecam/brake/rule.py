@@ -32,6 +32,10 @@ class Threat(NamedTuple):
     """Deceleration over ground that the object surely has."""
     p_lateral: float = 1.0
     """Probability that it hits us if it gets as far as our front."""
+    hits: float = math.inf
+    """Frames in which it was seen."""
+    age: float = 1.0
+    """Frames since its first, which counts."""
 
 
 def must_brake(threat: Threat, own_speed_mps: float, forward: bool, settings: DecisionSettings) -> bool:
@@ -119,6 +123,11 @@ def is_object(threat: Threat, settings: DecisionSettings) -> bool:
     return large and threat.n_pixels > settings.min_object_px
 
 
+def is_seen(threat: Threat, settings: DecisionSettings) -> bool:
+    """Return whether an object was seen often enough to be one: most of the time, or for long."""
+    return threat.hits >= settings.sure_hits or threat.hits >= settings.min_seen * threat.age
+
+
 def is_in_range(threat: Threat, settings: DecisionSettings) -> bool:
     """Return whether the camera can measure as far as the object is said to be."""
     return settings.range_m is None or threat.distance_m < settings.range_m
@@ -129,6 +138,7 @@ def _may_brake(threat: Threat, own_speed_mps: float, forward: bool, settings: De
     return (
         is_in_range(threat, settings)
         and is_object(threat, settings)
+        and is_seen(threat, settings)
         and own_speed_mps > settings.min_speed_mps
         and forward
     )

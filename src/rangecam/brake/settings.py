@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from rangecam.collision import CorridorSettings
-from rangecam.settings import Fraction, NonNegative, Positive, settings
+from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
 
 GRAVITY_MPS2 = 9.81
 
@@ -48,6 +48,10 @@ class DecisionSettings:
     """... or with more pixels than this ..."""
     min_object_px: NonNegative = 10.0
     """... and always with more than this."""
+    min_seen: Fraction = 0.6
+    """An object must have been seen in this share of the frames since its first ..."""
+    sure_hits: PositiveInt = 10
+    """... or in so many: one that is there is hardly ever missed, but may be seen together with another for long."""
     pixel_pitch_deg: Positive = 0.5
     """Angle between neighbouring pixels (geometric mean of both directions); a loaded configuration takes it from the
     camera's lens and size."""

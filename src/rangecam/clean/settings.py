@@ -16,7 +16,8 @@ class CleanSettings:
     wrap_threshold: NonNegative = 0.0
     """A pixel whose amplitude times squared depth is below this fraction of the reference is WRAPPED (c_th2); 0: off.
 
-    An object beyond the unambiguous range seems near but sends little light. Dark near objects are lost too.
+    An object beyond the unambiguous range seems near but sends little light, as do drops and dust. Dark near objects
+    are lost too.
     """
     reference_amplitude: Positive = 145.0
     """Amplitude of a white surface at 1 m in the image centre, in the unit of the sensor."""

@@ -11,7 +11,7 @@ from numba import njit
 
 from rangecam.types import Floats, Ints, Side, TrackStatus
 
-_TENTATIVE = int(TrackStatus.TENTATIVE)
+_TENTATIVE, _CONFIRMED = int(TrackStatus.TENTATIVE), int(TrackStatus.CONFIRMED)
 _NONE, _FRONT, _LEFT, _RIGHT, _REAR = (int(side) for side in Side)
 _NEVER = 1e-9  # closing rate, 1/s: what takes decades to come does not come
 _EXCLUDED = 4.0  # standard deviations
@@ -44,6 +44,9 @@ def look(
     n_pixels: Floats,
     track_id: Ints,
     class_probability: Floats,
+    hits: Ints,
+    age: Ints,
+    nis: Floats,
     limits: Floats,
     min_probability: float,
     yaw_rate: float,
@@ -69,7 +72,12 @@ def look(
         outline = (depth + limits[1]) / 2, (width + max(size[i, 1], 0.0)) / 2, limits[3]
         p_lateral = _collision(P, distance, where, outline, limits, points, z, new[:, i])
         now = distance + x[1] * lag
-        inside = abs(x[3]) <= outline[1] or new[3, i] >= min_probability
+        # where nothing was seen, a track goes on with a speed that nobody measures: it may not drift into the path
+        drifts = 0.0 if status[i] == _CONFIRMED else limits[10] * math.sqrt(P[3, 3])
+        inside = abs(x[3]) + drifts <= outline[1]
+        if abs(x[3]) > outline[1] and new[3, i] >= min_probability:
+            seen = hits[i] if status[i] == _CONFIRMED else 0
+            inside = _comes_in(x, P, seen, nis[i], where, outline, limits, yaw_rate)
         if inside and now + depth > 0 and math.isfinite(now) and status[i] != _TENTATIVE:
             at = found
             while at > 0 and path[at - 1, 0] > now:  # keeps the nearest first
@@ -81,8 +89,28 @@ def look(
             row[6] = math.sqrt(max(P[0, 0] + 2 * lag * P[0, 1] + lag**2 * P[1, 1] + limits[7], 0.0))
             row[7], row[8], row[9] = P[0, 1] + lag * P[1, 1], x[2], math.sqrt(P[2, 2])
             row[10], row[11], row[12], row[13] = p_lateral, new[0, i], new[1, i], new[3, i]
+            row[14], row[15] = hits[i], age[i]
             found += 1
     return found
+
+
+@njit(cache=True, nogil=True)
+def _comes_in(
+    x: Floats, P: Floats, hits: int, nis: float, where: Path, outline: Outline, limits: Floats, yaw_rate: float
+) -> bool:
+    """Return whether what is beside the corridor was seen to move into it, or our own bend takes us to it.
+
+    Across our way a standing object moves by our own turn alone. A speed that agrees with that, or that was measured in
+    a few frames only, is taken for it: that of something which is cut by the image's edge while we pass it, or whose
+    outermost pixels come and go, points into the path as often as out of it. Such tracks contradict themselves, too:
+    where the last innovation is larger than its covariance says, the speed is so much less certain.
+    hits: frames in which it was seen, 0 if it is not seen now.
+    """
+    turn = -yaw_rate * x[0]
+    surplus = max(nis / 3, 1.0) if math.isfinite(nis) else 1.0
+    if hits > 0 and hits >= limits[11] and abs(x[4] - turn) > limits[10] * math.sqrt(surplus * P[4, 4]):
+        return True
+    return contact((where[0], where[1], where[2], turn, where[4], where[5]), outline)[0] <= limits[4] + limits[9]
 
 
 @njit(cache=True, nogil=True)

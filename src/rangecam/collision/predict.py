@@ -36,6 +36,10 @@ class InPath(NamedTuple):
     ttc_s: float
     ttc_sigma_s: float
     p_collision: float
+    hits: float
+    """Frames in which it was seen."""
+    age: float
+    """Frames since its first, which counts."""
 
 
 _COLUMNS = len(InPath._fields)
@@ -65,7 +69,8 @@ def look_ahead(
     deviations.
 
     In the path: confirmed tracks, also while they coast through missed frames, that overlap the corridor now or will
-    collide with at least `min_probability`, and are not behind our front.
+    collide with at least `min_probability`, and are not behind our front. What is beside the corridor must have been
+    seen to move into it (`crossing_sigmas`, `crossing_hits`), unless our own bend takes us to it.
     """
     n = tracks.status.size
     new, path = np.empty((_ROWS, n)), np.empty((n, _COLUMNS))
@@ -73,7 +78,7 @@ def look_ahead(
     # fmt: off
     found = look(
         tracks.status, tracks.state, tracks.covariance, tracks.size_m, tracks.near_offset_m,
-        tracks.n_pixels, tracks.track_id, tracks.class_probability,
+        tracks.n_pixels, tracks.track_id, tracks.class_probability, tracks.hits, tracks.age, tracks.nis,
         _limits(settings), float(min_probability), *turning, _POINTS[settings.use_acceleration], _Z, new, path,
     )
     # fmt: on
@@ -91,4 +96,5 @@ def _limits(settings: CorridorSettings) -> Floats:
     s = settings
     radius_m = min(s.corner_radius_m, s.width_m / 2, s.length_m / 2)
     expected = s.horizon_s, float(s.use_acceleration), s.drift_mps**2, s.surface_sigma_m**2, s.size_sigma_m, s.lag_s
-    return np.array([s.width_m, s.length_m, s.front_m, radius_m, *expected])
+    crossing = s.crossing_sigmas, float(s.crossing_hits)
+    return np.array([s.width_m, s.length_m, s.front_m, radius_m, *expected, *crossing])

@@ -1,6 +1,6 @@
 """What can be set about the prediction of collisions."""
 
-from rangecam.settings import NonNegative, Positive, settings
+from rangecam.settings import NonNegative, NonNegativeInt, Positive, settings
 
 
 @settings
@@ -29,3 +29,9 @@ class CorridorSettings:
     lag_s: NonNegative = 0.0
     """How much older than its time stamp an image of moving things is: where the samples of one image are taken one
     after the other, their range is that of an earlier moment."""
+    crossing_sigmas: NonNegative = 3.0
+    """What is beside the corridor is in the path only if its speed across differs from that of a standing object by
+    more than so many standard deviations, or if our own bend takes us to it. What is not seen now must overlap the
+    corridor by so many standard deviations of its place."""
+    crossing_hits: NonNegativeInt = 6
+    """And only if it was seen in so many frames: the first ones tell no speed across."""
