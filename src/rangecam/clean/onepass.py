@@ -148,8 +148,8 @@ def _begin_again(work: Floats, words: Any, number: Any) -> None:
         work[_K + b], work[_T + b], work[_W + b] = work[_K + shift + b], work[_T + shift + b], work[_W + shift + b]
         work[_C + b], work[_S + b], work[_R + b] = work[_C + shift + b], work[_S + shift + b], work[_R + shift + b]
         work[_C + c], work[_T + c], work[_K + c] = work[_C + shift + c], work[_T + shift + c], work[_K + shift + c]
-    for b in range(_2 * _WORDS):
-        words[b] = words[_U(_SLOTS - 3) * _WORDS + _U(b)]
+    for word in range(_2 * _WORDS):
+        words[word] = words[_U(_SLOTS - 3) * _WORDS + _U(word)]
 
 
 @njit(cache=True, nogil=True, forceinline=True)

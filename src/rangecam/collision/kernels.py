@@ -110,7 +110,8 @@ def _comes_in(
     surplus = max(nis / 3, 1.0) if math.isfinite(nis) else 1.0
     if hits > 0 and hits >= limits[11] and abs(x[4] - turn) > limits[10] * math.sqrt(surplus * P[4, 4]):
         return True
-    return contact((where[0], where[1], where[2], turn, where[4], where[5]), outline)[0] <= limits[4] + limits[9]
+    apart = contact((where[0], where[1], where[2], turn, where[4], where[5]), outline)[0]
+    return bool(apart <= limits[4] + limits[9])
 
 
 @njit(cache=True, nogil=True)
