@@ -114,8 +114,9 @@ class Summary:
     def result(self, watch: Stopwatch) -> dict[str, Any]:
         """Return the summary as JSON values; `digest` is equal if and only if every track and decision was.
 
-        `refused` counts frames that were repeated or late, and how often the clock was set back, `ignored_segments` those
-        of no finite position. `nis` is whether the innovations of the confirmed tracks are as large as they should be: see `metrics.honesty`;
+        `refused` counts frames that were repeated or late, and how often the clock was set back, `ignored_segments`
+        those of no finite position. `nis` is whether the innovations of the confirmed tracks are as large as they
+        should be: see `metrics.honesty`;
         `quality` is there where the truth is known: see `metrics.quality_of`.
         """
         from rangecam import __version__

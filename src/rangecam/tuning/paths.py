@@ -9,7 +9,7 @@ import numpy as np
 
 from rangecam.errors import DataError
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.types import POSITION, VELOCITY, Floats, Frame, Ints, Refused, Segments, TrackStatus, Tracks
+from rangecam.types import POSITION, VELOCITY, Floats, Frame, Ints, Refused, Segments, Tracks, TrackStatus
 from rangecam.values import value
 
 _APART_M = 1e6  # the paths are filtered side by side, so far apart that none can be taken for another
