@@ -53,7 +53,7 @@ class Summary:
         self._braking = False
         self._brake_frames = 0
         self._tracks: dict[int, dict[str, Any]] = {}
-        self._refused = {each: 0 for each in Refused if each != Refused.NOTHING}
+        self._refused: dict[Refused, int] = {each: 0 for each in Refused if each != Refused.NOTHING}
         self._ignored = 0
         self._nis: list[Floats] = []
         self._scored: list[Scored] = []
