@@ -23,6 +23,12 @@ from rangecam.types import MEMORY, Ego, Floats, Ints, Refused, Segments, Tracks,
 
 _FLOAT, _INT, _BYTE = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint8)
 _STANDING: Floats = np.zeros(2)
+_USED = (
+    *(("label", _INT), ("position_m", _FLOAT), ("covariance_m2", _FLOAT), ("size_m", _FLOAT), ("near_m", _FLOAT)),
+    *(("n_pixels", _INT), ("box", _INT), ("range_m", _FLOAT), ("amplitude", _FLOAT), ("sigma_range_m", _FLOAT)),
+    ("cut", _BYTE),
+)
+"""What `Seen` takes of the segments, and in which type."""
 _GROUP, _PARTS = MEMORY.index("merged"), MEMORY.index("parts")
 
 _UNKNOWN = Ego()
@@ -256,18 +262,9 @@ def _followed(
 
 def _seen_in(segments: Segments) -> Seen:
     """Return what the tracker uses of the segments, in the types that its kernels are compiled for."""
-    return (
-        np.asarray(segments.label, _INT),
-        np.asarray(segments.position_m, _FLOAT),
-        np.asarray(segments.covariance_m2, _FLOAT),
-        np.asarray(segments.size_m, _FLOAT),
-        np.asarray(segments.near_m, _FLOAT),
-        np.asarray(segments.n_pixels, _INT),
-        np.asarray(segments.box, _INT),
-        np.asarray(segments.range_m, _FLOAT),
-        np.asarray(segments.amplitude, _FLOAT),
-        np.asarray(segments.sigma_range_m, _FLOAT),
-        np.asarray(segments.cut, _BYTE),
+    values = vars(segments)
+    return tuple(  # type: ignore[return-value]
+        [a if (a := values[name]).dtype is kind else np.asarray(a, kind) for name, kind in _USED]
     )
 
 
