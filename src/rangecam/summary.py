@@ -116,12 +116,8 @@ class Summary:
 
         `refused` counts frames that were repeated or late, and how often the clock was set back, `ignored_segments`
         those of no finite position. `nis` is whether the innovations of the confirmed tracks are as large as they
-<<<<<<< HEAD
-        should be: see `metrics.honesty`; `quality` is there where the truth is known: see `metrics.quality_of`.
-=======
         should be: see `metrics.honesty`;
         `quality` is there where the truth is known: see `metrics.quality_of`.
->>>>>>> trackspeed
         """
         from rangecam import __version__
 
