@@ -91,14 +91,6 @@ def test_a_process_that_ceases_stops_the_car_in_the_time_stated_and_all_recover(
     assert found.held, f"{found} {rig.events[-4:]}"
 
 
-def test_the_driver_has_no_car_before_camera_perception_and_watchdog_work(rig: Rig) -> None:
-    first = next(k for k, each in enumerate(rig.cars) if each["control"] == 1)
-    free = next(k for k, each in enumerate(rig.cars) if k > first and each["control"] == 0)
-    assert all(each["speed_mps"] == 0 for each in rig.cars[:free])
-    works = {each["who"]: each["time_s"] for each in reversed(rig.events) if each["mode"] == "USER_CONTROL"}
-    assert rig.cars[free]["obeyed_s"] > min(works.values()) - 0.1
-
-
 # -- the command line -------------------------------------------------------------------------------------------------
 
 

@@ -87,12 +87,13 @@ def _outcome(
         for each in [*driven[::10], *driven[-1:]]
     ]
     obeys = next((each for each in driven if each["control"] == int(Control.BUS)), None)
-    faults = [each["reason"] for each in events if each["mode"] == Mode.FAULT.name]
-    cause = None if obeys is None or faults else next((f for f in frames if f["brake"]), None)
+    first = next((each for each in events if each["mode"] != Mode.USER_CONTROL.name), None)
+    fault = first["reason"] if first is not None and first["mode"] == Mode.FAULT.name else ""
+    cause = None if obeys is None or fault else next((f for f in frames if f["brake"]), None)
     least_m = min(gaps, default=math.inf)
     found: dict[str, Any] = {
         "top_speed_mps": round(max((each["speed_mps"] for each in driven), default=0.0), 3),
-        "stopped_by": "nothing" if obeys is None else (faults[0] if faults else "object"),
+        "stopped_by": "nothing" if obeys is None else (fault or "object"),
         "stands": bool(driven) and driven[-1]["speed_mps"] < STANDS_MPS,
         "least_gap_m": round(least_m, 3) if math.isfinite(least_m) else None,
         "collision": least_m <= 0,

@@ -74,7 +74,10 @@ class Rig:
         )
         self._bus = self._stack.enter_context(Bus("udp_multicast", channel))
         self._sleep = sleep
-        self.brake: BrakeSettings = brake_settings(config, at_once(settings))
+        brake, vehicle = brake_settings(config, at_once(settings)), settings.vehicle
+        # wheels lock when the perception brakes, of which the watchdog knows nothing
+        locks_mps2 = max(brake.machine.max_deceleration_mps2, vehicle.brake_mps2 / vehicle.wheel_inertia)
+        self.brake: BrakeSettings = replace(brake, machine=replace(brake.machine, max_deceleration_mps2=locks_mps2))
         self._watchdog, self._inputs = restarted(), Inputs(0.0)
         self._processes: dict[str, Any] = {}
         self.priority = "usual"
