@@ -180,7 +180,8 @@ def test_only_confirmed_tracks_count_and_late_frames_do_not(rng: np.random.Gener
     assert paths.count == 2
     assert paths.ends.tolist() == list(range(2, 21, 2))
     tracks = update_tracks(Tracks.empty(), segments(places[0]), 1.0, PLAIN)
-    late = SimpleNamespace(tracks=tracks, segments=segments(places[0][:1]), image=SimpleNamespace(time_s=0.5))
+    refused = update_tracks(tracks, segments(places[0][:1]), 0.5, PLAIN)
+    late = SimpleNamespace(tracks=refused, segments=segments(places[0][:1]), image=SimpleNamespace(time_s=0.5))
     with pytest.raises(DataError, match="late: no frame"):
         paths_of("late", [late], PLAIN)  # type: ignore[list-item]
 

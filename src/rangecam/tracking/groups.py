@@ -139,7 +139,7 @@ def _groups(members: list[int]) -> list[tuple[int, ...]]:
 
 def _within(scene: Scene, tracks: Ints, segments: Ints, share: float) -> Ints:
     """Return (n, m): whether the predicted centre lies in the segment's box; share: of the track's size beside it."""
-    sigma = np.sqrt(scene.P[tracks][:, range(3), range(3)])
+    sigma = np.sqrt(np.maximum(scene.P[tracks][:, range(3), range(3)], 0.0))  # rounding, where there is no noise
     half = scene.seen[3][segments] / 2
     own = scene.size[tracks] * share + np.array([0.5, 0.0, 0.0])  # as `living.hidden`: depth is hardly ever seen
     apart = np.abs(scene.x[tracks][:, None] - scene.seen[1][segments][None])
