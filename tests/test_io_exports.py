@@ -83,7 +83,8 @@ def test_a_row_of_the_table_is_a_frame_of_a_confirmed_or_coasting_track(
         exact = [
             *(frame.image.time_s, track.track_id),
             *track.state[[0, 3, 6, 1, 4, 7, 2, 5, 8]],
-            *(track.covariance[0, 0] ** 0.5, track.covariance[1, 1] ** 0.5, track.size_m[1], track.size_m[2]),
+            *np.sqrt(track.covariance.diagonal()[:2]),
+            *(track.size_m[1], track.size_m[2]),
             *(track.class_probability.max(), collisions.ttc_s[i], collisions.ttc_sigma_s[i], collisions.p_collision[i]),
         ]
         np.testing.assert_array_equal(numbers, exact)

@@ -59,8 +59,8 @@ def tracking_crowds(rng: np.random.Generator) -> Study:
     claims.append(judged("K-FUT-06", text, None, ratio, "", ratio >= 5, why))
     for name in switches:
         claims.append(derived("K-FUT-06", f"all scenes, {name}: identity switches", switches[name], ""))
-    for name in PEERS.keys() - theirs.keys():
-        claims.append(derived("K-FUT-06", f"{name}: not installed (pip install rangecam[bench])", float("nan"), ""))
+    for name in sorted(PEERS.keys() - theirs.keys()):
+        claims.append(derived("K-FUT-06", f"{name}: compared runs (pip install --no-deps {PEERS[name][0]})", 0, ""))
     return Study("tracking-crowds", "König 2008, 6.4.2 and 8", claims, panels)
 
 
