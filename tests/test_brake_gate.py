@@ -109,6 +109,18 @@ def test_disarming_gives_back_at_once_and_arming_counts_anew() -> None:
     assert passed(gate=arm(gate), number=0)[1] is not None
 
 
+def test_the_first_request_after_arming_is_any_that_was_numbered() -> None:
+    assert passed(number=0)[1] is not None
+    assert passed(number=-1)[0].refused == {Refusal.REPEATED: 1}
+    assert Gate() == disarm(arm(Gate()))[0]
+
+
+def test_a_frame_once_formed_cannot_be_changed() -> None:
+    _, frame = passed()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        frame.data = bytes(8)  # type: ignore[misc, union-attr]
+
+
 def test_only_the_gate_forms_a_take_over_in_the_package() -> None:
     package = Path(__file__).parent.parent / "src" / "rangecam"
     forming = set()
