@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rangecam.classify import CLASSIFICATION, ClassificationSettings, classify
-from rangecam.classify.features import FEATURES, MEMORY, observe
+from rangecam.classify.features import FEATURES, MEMORY, is_resolved, observe
 from rangecam.classify.learned import Model, load_model, probabilities, save_model
 from rangecam.errors import DataError
 from rangecam.types import ACTIONS, CLASSES, Ego, Segments, Track, Tracks, TrackStatus
@@ -263,6 +263,7 @@ def test_what_once_moved_for_sure_is_remembered_and_an_unknown_own_speed_proves_
 def test_unknown_is_said_below_the_probability_that_is_asked_for() -> None:
     for below in (0.5, 0.85, 0.97):
         settings = dataclasses.replace(LEARNED, unknown_below=below)
+        assert is_resolved(observe(track(), Ego(speed_mps=0.0), segments_of())[1][0])
         tracks = dataclasses.replace(track(), time_s=0.0)
         row = classify(tracks, Ego(speed_mps=0.0), settings, segments_of())
         most = float(probabilities(observe(tracks, Ego(speed_mps=0.0), segments_of())[1], load_model()).max())
