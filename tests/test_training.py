@@ -71,7 +71,7 @@ def test_fitted_probabilities_are_those_of_classes_that_come_alike():
     alike = shares / shares.mean(axis=0)
     alike /= alike.sum(axis=1, keepdims=True)
     said = probabilities(others.features, model)
-    assert np.abs(said - alike).mean() < 0.08
+    assert np.abs(said - alike).mean() < 0.1
     assert np.abs((said - alike).mean(axis=0)).max() < 0.05
 
 

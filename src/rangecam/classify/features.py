@@ -73,10 +73,11 @@ def observe(tracks: Tracks, ego: Ego, segments: Segments) -> tuple[Floats, Float
 def is_resolved(features: Any) -> bool:
     """Return whether an object with these features (F,) has enough pixels and is seen from side to side; a kernel.
 
-    Means of logarithms of whole numbers count as `RESOLVED_PIXELS` from half a pixel below.
+    Of the last second: the geometric mean of its pixels counts as enough from a fifth below on, and what is seen from
+    side to side in more than a quarter of the frames as seen.
     """
     columns, rows, beside, hidden = features[_BOX + 2], features[_BOX + 3], features[_BOX + 5], features[_BOX + 8]
-    return min(columns, rows) >= math.log(RESOLVED_PIXELS - 0.5) and beside < 0.5 and hidden < 0.5
+    return min(columns, rows) >= math.log(0.8 * RESOLVED_PIXELS) and beside < 0.75 and hidden < 0.75
 
 
 def _profile_of(segments: Segments) -> Floats:

@@ -38,5 +38,5 @@ class ClassificationSettings:
     unknown_below: Annotated[float, Interval(ge=0, lt=1)] = 0.5
     """Learned: a track is `unknown` if no class is more probable than this, ..."""
     unresolved_below: Annotated[float, Interval(ge=0, lt=1)] = 0.85
-    """... or than this, where the image does not resolve it: it is cut short beside or hidden in half of the frames or
-    more, or has fewer than 4 by 4 pixels."""
+    """... or than this, where the image does not resolve it: it is cut short beside or hidden in three quarters of the
+    last second, or has fewer than 4 by 4 pixels."""

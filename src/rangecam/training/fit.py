@@ -45,6 +45,7 @@ def _weights(examples: Examples) -> Floats:
 def _grow(features: Floats, classes: Ints, weights: Floats, seed: int) -> Any:
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
+        from threadpoolctl import threadpool_limits  # which scikit-learn brings along
     except ImportError as error:
         raise UsageError("training needs scikit-learn: pip install 'rangecam[train]'") from error
     grower = HistGradientBoostingClassifier(
@@ -57,7 +58,8 @@ def _grow(features: Floats, classes: Ints, weights: Floats, seed: int) -> Any:
         early_stopping=False,
         random_state=seed,
     )
-    return grower.fit(features, classes, sample_weight=weights)
+    with threadpool_limits(1):  # threads that wait for each other take minutes where others use the cores
+        return grower.fit(features, classes, sample_weight=weights)
 
 
 def _taken_out(grown: Any) -> Model:
