@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rangecam.classify import CLASSIFICATION, ClassificationSettings, classify
-from rangecam.classify.features import FEATURES, MEMORY, observe
+from rangecam.classify.features import FEATURES, MEMORY, is_resolved, observe
 from rangecam.classify.learned import Model, load_model, probabilities, save_model
 from rangecam.errors import DataError
 from rangecam.types import ACTIONS, CLASSES, Ego, Segments, Track, Tracks, TrackStatus
@@ -67,6 +67,17 @@ def segments_of(count: int = 1, **fields: object) -> Segments:
         "nearest_m": np.tile([7.85, 0.0, 0.9], (count, 1)),
     }
     return Segments(**{**whole, **fields})  # type: ignore[arg-type]
+
+
+def profile_of(*rows: tuple[float, ...]) -> np.ndarray:
+    """How wide, how full and how far behind the four parts of one segment are."""
+    return np.array([[*rows, (0.0,) * 4][:3]])
+
+
+def test_segments_that_nobody_measured_have_the_profile_of_a_full_box() -> None:
+    full = segments_of(profile=profile_of((1.0,) * 4, (1.0,) * 4))
+    one, other = (observe(track(), Ego(speed_mps=0.0), each)[1] for each in (segments_of(), full))
+    np.testing.assert_array_equal(one, other)
 
 
 def first(tracks: Tracks, settings: ClassificationSettings = AT_ONCE, ego: Ego = UNMEASURED) -> Track:
@@ -225,11 +236,13 @@ def test_the_trees_know_a_driving_car_and_a_walking_person() -> None:
         "n_pixels": np.array([900]),
         "box": np.array([[50, 50, 80, 92]]),
         "position_m": np.array([[8.5, 0.0, 0.75]]),
+        "profile": profile_of((0.8, 0.85, 1.0, 0.95), (0.8, 0.85, 1.0, 0.7), (0.7, 0.6, -0.4, -0.4)),
     }
     driving = track()
     driving.state[0, 1] = 6.0
     assert seen(driving, segments_of(**car))[0].class_name == "vehicle"
-    walking = seen(track(lateral_mps=1.3, sigma_mps=0.05), segments_of())[0]  # with limbs that do not swing
+    person = segments_of(profile=profile_of((0.4, 0.9, 0.75, 0.6), (0.4, 0.9, 0.7, 0.5)))  # whose limbs do not swing
+    walking = seen(track(lateral_mps=1.3, sigma_mps=0.05), person)[0]
     assert walking.class_probability[CLASSES.index("vru")] > 3 * walking.class_probability[[2, 3]].max()
 
 
@@ -263,6 +276,7 @@ def test_what_once_moved_for_sure_is_remembered_and_an_unknown_own_speed_proves_
 def test_unknown_is_said_below_the_probability_that_is_asked_for() -> None:
     for below in (0.5, 0.85, 0.97):
         settings = dataclasses.replace(LEARNED, unknown_below=below)
+        assert is_resolved(observe(track(), Ego(speed_mps=0.0), segments_of())[1][0])
         tracks = dataclasses.replace(track(), time_s=0.0)
         row = classify(tracks, Ego(speed_mps=0.0), settings, segments_of())
         most = float(probabilities(observe(tracks, Ego(speed_mps=0.0), segments_of())[1], load_model()).max())

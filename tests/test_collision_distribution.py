@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from rangecam.collision import CorridorSettings, look_ahead
+from rangecam.collision.kernels import _both_above
 from rangecam.collision.points import gaussian_points
 from rangecam.types import QUANTILES, Collisions, Ego, Side, Tracks
 from test_collision import CERTAIN, correlated, one_track, predict, samples
@@ -186,11 +187,35 @@ def test_left_is_as_right(state: list[float], use_acceleration: bool) -> None:
 
 
 def test_points_stand_for_a_normal_distribution_and_left_for_right() -> None:
-    points = gaussian_points(64)
+    points = gaussian_points(256)
     np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
-    np.testing.assert_allclose(points.T @ points / 64, np.eye(5), atol=1e-9)
-    flipped = points * np.array([1, 1, -1, 1, -1])
-    assert sorted(map(tuple, np.round(flipped, 9))) == sorted(map(tuple, np.round(points, 9)))
+    np.testing.assert_allclose(points.T @ points / 256, np.eye(3), atol=1e-9)
+    assert sorted(map(tuple, np.round(-points, 9))) == sorted(map(tuple, np.round(points, 9)))
+    flat = gaussian_points(64, 2)
+    np.testing.assert_allclose(flat.T @ flat / 64, np.diag([1, 1, 0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("y_m", [1.3, 1.6, 2.0, 2.4])
+def test_what_drifts_beside_us_still_hits_our_side_as_often_as_simulated_random_walks_do(y_m: float) -> None:
+    """A car of 4.3 m; what passes its front goes on drifting, and comes into its side."""
+    rng, step, q, n = np.random.default_rng(6), 0.02, 0.3, 6000
+    speed = rng.normal(0, 0.1, (2, n, 1)) + np.cumsum(rng.normal(0, q * math.sqrt(step), (2, n, 150)), axis=2)
+    (x, y), t = np.cumsum(speed * step, axis=2), (np.arange(150) + 1) * step
+    x, y = 8.0 - 6 * t + x, y_m + y
+    hit = ((x <= 0) & (x + BOX[0] + 4.3 >= 0) & (np.abs(y) <= 1.0 + BOX[1] / 2)).any(axis=1).mean()
+    tracks = one_track([8.5, -6, 0, y_m, 0, 0], np.diag([1e-8, 0.01, 1e-8, 1e-8, 0.01, 1e-8]), BOX, 0.5)
+    found = predict(tracks, width_m=2.0, length_m=4.3, drift_mps=q, horizon_s=3.0)
+    assert found.p_collision[0] == pytest.approx(hit, abs=0.01 + 4 * math.sqrt(hit * (1 - hit) / n))
+    assert 0.01 < hit < 0.9
+
+
+@pytest.mark.parametrize("r", [-0.99, -0.5, 0.0, 0.4, 0.69, 0.71, 0.95, 0.999, 1.0])
+def test_two_correlated_variables_are_both_above_their_limits_as_often_as_scipy_says(r: float) -> None:
+    both = multivariate_normal(cov=[[1, r], [r, 1]], allow_singular=True)
+    for h, k in np.random.default_rng(7).uniform(-4, 4, (20, 2)):
+        assert _both_above(h, k, r) == pytest.approx(both.cdf([-h, -k]), abs=1e-3)
+    assert _both_above(9.0, 0.0, r) == pytest.approx(0.0, abs=1e-9)
+    assert _both_above(-9.0, 0.5, r) == pytest.approx(norm.cdf(-0.5), abs=1e-9)
 
 
 # -- how near ---------------------------------------------------------------------------------------------------------

@@ -133,3 +133,28 @@ def test_the_nearest_point_is_the_mean_of_what_is_not_farther_than_the_quantile(
     points = to_world(source, LENS, Mounting()).reshape(-1, 3)
     near = points[points[:, 0] <= np.float32(one.near_m)]
     assert_allclose(one.nearest_m[1:], near[:, 1:].mean(axis=0), atol=1e-5)
+
+
+def test_the_profile_follows_the_outline_from_the_top_to_the_bottom():
+    """A head of 4 pixels, shoulders of 12, hips of 8, and two legs of 3 that are 2 apart."""
+    labels = np.zeros(SHAPE, np.int32)
+    labels[4:8, 28:32] = labels[8:12, 24:36] = labels[12:16, 26:34] = 1
+    labels[16:20, 26:29] = labels[16:20, 31:34] = 1
+    profile = segment(labels, wall()).profile
+    assert_allclose(profile[0] * 12, [4, 12, 8, 8])
+    assert_allclose(profile[1] * 12, [4, 12, 8, 6])
+
+
+def test_the_profile_tells_how_much_farther_away_a_cabin_is_than_the_bonnet():
+    source, labels = wall(), block(slice(10, 20), slice(20, 40))
+    source.range_m[10:15, 20:40] *= 6.0 / 5.0
+    cabin, upper, lower, bonnet = segment(labels, source).profile[2]
+    assert upper - lower == pytest.approx(1.0, abs=0.05)
+    assert cabin == pytest.approx(-bonnet, abs=0.1)  # of ten rows, two or three are in a band
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 5])
+def test_segments_of_few_rows_have_a_profile_too(rows):
+    profile = segment(block(slice(10, 10 + rows), slice(20, 30)), wall()).profile
+    assert_allclose(profile[:2], 1.0)
+    assert np.abs(profile[2]).max() < 0.05

@@ -9,8 +9,9 @@ from rangecam.errors import UsageError
 from rangecam.training.drives import KINDS, DriveSettings, random_drive
 from rangecam.training.examples import Examples, Lot, joined, simulated
 from rangecam.training.fit import _grow, _taken_out, fit
-from rangecam.training.lots import HELD_OUT, held_out_lots, learning_lots
-from rangecam.training.score import confusion, reliability, right_share
+from rangecam.training.lots import HELD_OUT, held_out_lots, learning_lots, told
+from rangecam.training.score import confusion, reliability, resolved, right_of_all, right_share, score
+from rangecam.types import Cut
 
 
 def made_up(count, rng):
@@ -20,7 +21,8 @@ def made_up(count, rng):
     shares = odds / odds.sum(axis=1, keepdims=True)
     classes = 1 + (rng.random(count)[:, None] > np.cumsum(shares, axis=1)).sum(axis=1)
     return Examples(
-        features, classes, np.eye(4)[classes], np.ones(count), classes.astype(str), np.arange(count)
+        *(features, classes, np.eye(4)[classes], np.full(count, 5.0)),
+        *(np.full((count, 2), 9), np.zeros(count, int), np.ones(count), classes.astype(str), np.arange(count)),
     ), shares
 
 
@@ -46,6 +48,8 @@ def test_the_chain_sees_things_of_a_drive_whose_class_the_truth_tells():
     assert np.isfinite(examples.features).all()
     assert set(examples.classes) <= {1, 2, 3}
     np.testing.assert_allclose(examples.given.sum(axis=1), 1)
+    assert (examples.pixels > 0).all()
+    assert ((examples.share > 0) & (examples.share <= 1)).all()
     assert len(np.unique(examples.drives)) in (2, 4)
     half = len(examples) // 2
     np.testing.assert_array_equal(examples.features[:half], examples.features[half:])
@@ -66,9 +70,9 @@ def test_fitted_probabilities_are_those_of_classes_that_come_alike():
     others, shares = made_up(4000, rng)
     alike = shares / shares.mean(axis=0)
     alike /= alike.sum(axis=1, keepdims=True)
-    told = probabilities(others.features, model)
-    assert np.abs(told - alike).mean() < 0.08
-    assert np.abs((told - alike).mean(axis=0)).max() < 0.05
+    said = probabilities(others.features, model)
+    assert np.abs(said - alike).mean() < 0.1
+    assert np.abs((said - alike).mean(axis=0)).max() < 0.05
 
 
 def test_a_class_without_examples_is_refused():
@@ -82,8 +86,48 @@ def test_scores_count_what_is_decided_and_what_is_right():
     classes = np.array([1, 1, 2, 3])
     probability = np.array([[0.1, 0.9, 0, 0], [0.6, 0.4, 0, 0], [0, 0.8, 0.2, 0], [0.2, 0, 0, 0.8]])
     assert right_share(classes, probability) == (pytest.approx(2 / 3), 0.75)
+    assert right_of_all(classes, probability) == 0.5
     np.testing.assert_array_equal(confusion(classes, probability), [[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     curve = reliability(classes, probability, groups=1)
     assert curve.number.tolist() == [4]
     assert curve.right[0] == 0.75
     assert curve.told[0] == pytest.approx((1 + 1 + 0.8 + 1) / 4)
+
+
+def test_an_object_is_resolved_if_pixels_sides_range_and_segment_allow():
+    examples, _ = made_up(7, np.random.default_rng(4))
+    examples.pixels[0], examples.pixels[1] = (3, 9), (9, 3)
+    examples.cut[2], examples.cut[3] = int(Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM)
+    examples.range_m[4], examples.range_m[5], examples.share[6] = 1.9, 15.1, 0.4
+    assert resolved(examples).tolist() == [False, False, False, True, False, False, False]
+    assert resolved(examples, whole=False).tolist() == [False, False, False, True, False, False, True]
+
+
+def test_a_score_says_of_all_and_of_what_is_resolved_how_much_is_right():
+    examples, _ = made_up(4, np.random.default_rng(5))
+    right = np.eye(4)[examples.classes]
+    probability = np.where([[True], [False], [True], [True]], right, np.eye(4)[0])  # the second is unknown
+    examples.cut[0] = int(Cut.LEFT)
+    scored = score(examples, probability)
+    assert (scored["right_of_all"], scored["right"], scored["decided"]) == (0.75, 1.0, 0.75)
+    assert scored["resolved"]["examples"] == 3
+    assert scored["resolved"]["right_of_all"] == pytest.approx(2 / 3, abs=1e-4)
+    examples.cut[:] = int(Cut.LEFT)
+    assert score(examples, probability)["resolved"]["right_of_all"] is None
+
+
+def test_what_is_not_resolved_must_be_surer_to_be_no_unknown():
+    examples, _ = made_up(400, np.random.default_rng(6))
+    model = fit(made_up(2000, np.random.default_rng(7))[0], 1)
+    for name, value in (("log_columns", np.log(8)), ("log_rows", np.log(8)), ("cut_beside", 0.0), ("occluded", 0.0)):
+        examples.features[:, FEATURES.index(name)] = value
+    clear = told(examples, model)
+    most = clear[:, 1:].max(axis=1) / clear[:, 1:].sum(axis=1)
+    assert ((clear.argmax(axis=1) == 0) == (most < 0.5)).all()
+    for name, value in (("log_columns", np.log(3)), ("log_rows", np.log(3)), ("cut_beside", 1.0), ("occluded", 1.0)):
+        poor = Examples(**{**vars(examples), "features": examples.features.copy()})
+        poor.features[:, FEATURES.index(name)] = value
+        said = told(poor, model)
+        most = said[:, 1:].max(axis=1) / said[:, 1:].sum(axis=1)
+        assert ((said.argmax(axis=1) == 0) == (most < 0.85)).all()
+        assert 0.1 < (said.argmax(axis=1) == 0).mean() < 0.9

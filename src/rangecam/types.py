@@ -160,6 +160,11 @@ class Segment:
     amplitude: float
     cut: int
     nearest_m: Floats
+    profile: Floats | None = None
+
+
+PROFILE_BANDS = 4
+"""Parts of equal height, from the top, in which the outline of a segment is looked at."""
 
 
 @value
@@ -173,6 +178,9 @@ class Segments(Rows):
     range_m, sigma_range_m, amplitude (N,): mean over the pixels, standard deviation of that mean range, mean.
     cut (N,) uint8: bits of `Cut`. nearest_m (N, 3): the nearest point of its surface: near_m, and the mean y and z of
         the pixels that are nearer.
+    profile (N, 3, B): of `PROFILE_BANDS` from the top to the bottom of its box: from its first to its last pixel in a
+        row, as a share of the box's width; the share of the band that it fills; how much farther away it is than as a
+        whole, along the ground (m). None where nobody measured it.
     """
 
     label: Ints
@@ -187,6 +195,7 @@ class Segments(Rows):
     amplitude: Floats
     cut: NDArray[np.uint8]
     nearest_m: Floats
+    profile: Floats | None = None
 
     def __getitem__(self, i: int) -> Segment:
         return Segment(
@@ -202,6 +211,7 @@ class Segments(Rows):
             float(self.amplitude[i]),
             int(self.cut[i]),
             self.nearest_m[i],
+            None if self.profile is None else self.profile[i],
         )
 
     def __iter__(self) -> Iterator[Segment]:

@@ -11,18 +11,21 @@ import numpy as np
 from numba import njit
 
 from rangecam.classify.ground import own_velocity
-from rangecam.types import Ego, Floats, Segments, Tracks, TrackStatus
+from rangecam.types import PROFILE_BANDS, Ego, Floats, Segments, Tracks, TrackStatus
 
 SEEN = (
     *("log_width", "log_height", "log_depth", "log_fill"),
+    *(f"{what}_{band}" for what in ("across", "filled", "behind") for band in range(1, PROFILE_BANDS + 1)),
     *("bottom_m", "top_m", "log_columns", "log_rows", "log_range"),
     *("cut_beside", "cut_above", "cut_below", "occluded"),
     *("log_speed", "log_speed_across", "log_speed_along", "log_speed_sigma"),
 )
 """What is seen of an object in one frame: its extent across the line of sight, upwards and along it (m), the share of
-its box in the image that it fills, where it begins and ends above the ground, pixels across and down, range, what cuts
-it short (0 or 1), and its speed over ground, m/s: whole, across the line of sight, along it, its standard deviation."""
-_SPREADS, _SEEN, _MEANS = 4, len(SEEN), 4
+its box in the image that it fills, the profile of its outline (`Segments`), where it begins and ends above the ground,
+pixels across and down, range, what cuts it short (0 or 1), and its speed over ground, m/s: whole, across the line of
+sight, along it, its standard deviation."""
+_SPREADS, _SEEN, _MEANS = 4 + PROFILE_BANDS, len(SEEN), 4
+_BOX = 4 + 3 * PROFILE_BANDS  # first of what follows the profile
 FEATURES = (
     *SEEN,
     *(f"{name}_spread" for name in SEEN[:_SPREADS]),
@@ -32,6 +35,12 @@ FEATURES = (
 greatest speed that it had for sure, and for how long it is seen."""
 MEMORY = ("frames", "time_s", "moved_mps", "since_s", *SEEN, *(f"{name}_variance" for name in SEEN[:_SPREADS]))
 """Columns of `Tracks.class_memory`."""
+RESOLVED_PIXELS = 4
+"""Columns, and rows, below which an object is not resolved. What tells a person from a post is that the head is 0.24 m
+narrower than the shoulders, which are 0.45 m wide. At each edge one pixel more or less is chance, evenly, with a
+standard deviation of 0.29 pixels: 0.41 for a width, 0.58 for a difference of two. Three and a half of that, 2 pixels,
+must fit into 0.24 m: pixels are at most 0.12 m, and shoulders 4 of them wide. The outline is looked at in as many
+bands."""
 _MEMORY_S = 1.0  # of the running means
 _UNKNOWN_SPEED_MPS = 10.0  # standard deviation of the speed over ground where nobody measures ours
 _CONFIRMED = int(TrackStatus.CONFIRMED)
@@ -53,10 +62,30 @@ def observe(tracks: Tracks, ego: Ego, segments: Segments) -> tuple[Floats, Float
         np.asarray(segments.box, np.int64),
         np.asarray(segments.range_m, float),
         np.asarray(segments.cut, np.int64),
+        _profile_of(segments),
     )
     rows = np.asarray(tracks.segment, np.int64) - 1
     _observe(rows, tracks.state, tracks.covariance, own_velocity(ego), tracks.time_s, *seen, memory, features)
     return memory, features
+
+
+@njit(cache=True, nogil=True)
+def is_resolved(features: Any) -> bool:
+    """Return whether an object with these features (F,) has enough pixels and is seen from side to side; a kernel.
+
+    Of the last second: the geometric mean of its pixels counts as enough from a fifth below on, and what is seen from
+    side to side in more than a quarter of the frames as seen.
+    """
+    columns, rows, beside, hidden = features[_BOX + 2], features[_BOX + 3], features[_BOX + 5], features[_BOX + 8]
+    return min(columns, rows) >= math.log(0.8 * RESOLVED_PIXELS) and beside < 0.75 and hidden < 0.75
+
+
+def _profile_of(segments: Segments) -> Floats:
+    """Return the profiles (N, 3 B); where nobody measured them, those of boxes that are seen upright and full."""
+    count = len(segments)
+    if segments.profile is None:
+        return np.repeat([[1.0, 1.0, 0.0]], PROFILE_BANDS, axis=1).repeat(count, axis=0)
+    return np.asarray(segments.profile, float).reshape(count, 3 * PROFILE_BANDS)
 
 
 @njit(cache=True, nogil=True)
@@ -72,6 +101,7 @@ def _observe(
     box: Any,
     range_m: Any,
     cut: Any,
+    profile: Any,
     memory: Any,
     features: Any,
 ) -> None:
@@ -79,14 +109,14 @@ def _observe(
     for i in range(len(rows)):
         k = rows[i]
         if 0 <= k < len(range_m) and (memory[i, 0] == 0.0 or memory[i, 1] != time_s):
-            _look(position[k], size[k], n_pixels[k], box[k], range_m[k], cut[k], now)
+            _look(position[k], size[k], n_pixels[k], box[k], range_m[k], cut[k], profile[k], now)
             moved = _move(state[i], covariance[i], own, now)
             _remember(now, moved, time_s, memory[i])
         _describe(memory[i], features[i])
 
 
 @njit(cache=True, nogil=True)
-def _look(position: Any, size: Any, n_pixels: Any, box: Any, range_m: Any, cut: Any, now: Any) -> None:
+def _look(position: Any, size: Any, n_pixels: Any, box: Any, range_m: Any, cut: Any, profile: Any, now: Any) -> None:
     """Fill how an object looks."""
     away = max(math.sqrt(position[0] ** 2 + position[1] ** 2), 1e-6)
     cosine, sine = position[0] / away, position[1] / away
@@ -95,10 +125,13 @@ def _look(position: Any, size: Any, n_pixels: Any, box: Any, range_m: Any, cut: 
     now[2] = math.log(max(math.sqrt((size[0] * cosine) ** 2 + (size[1] * sine) ** 2), 0.01))
     rows, columns = box[2] - box[0], box[3] - box[1]
     now[3] = math.log(n_pixels / (rows * columns))
-    now[4], now[5] = position[2] - size[2] / 2, position[2] + size[2] / 2
-    now[6], now[7], now[8] = math.log(columns), math.log(rows), math.log(max(range_m, 0.01))
-    now[9], now[10] = 1.0 if cut & 3 else 0.0, 1.0 if cut & 4 else 0.0
-    now[11], now[12] = 1.0 if cut & 8 else 0.0, 1.0 if cut & 16 else 0.0
+    for k in range(profile.size):
+        now[4 + k] = profile[k]
+    at = _BOX
+    now[at], now[at + 1] = position[2] - size[2] / 2, position[2] + size[2] / 2
+    now[at + 2], now[at + 3], now[at + 4] = math.log(columns), math.log(rows), math.log(max(range_m, 0.01))
+    now[at + 5], now[at + 6] = 1.0 if cut & 3 else 0.0, 1.0 if cut & 4 else 0.0
+    now[at + 7], now[at + 8] = 1.0 if cut & 8 else 0.0, 1.0 if cut & 16 else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -116,8 +149,9 @@ def _move(state: Any, covariance: Any, own: Any, now: Any) -> float:
     away = max(math.sqrt(state[0] ** 2 + state[3] ** 2), 1e-6)
     along = abs(vx * state[0] + vy * state[3]) / away
     across = abs(vy * state[0] - vx * state[3]) / away
-    now[13], now[14], now[15] = math.log(0.2 + speed), math.log(0.2 + across), math.log(0.2 + along)
-    now[16] = math.log(0.05 + sigma)
+    at = _BOX + 9
+    now[at], now[at + 1], now[at + 2] = math.log(0.2 + speed), math.log(0.2 + across), math.log(0.2 + along)
+    now[at + 3] = math.log(0.05 + sigma)
     return max(speed - 2 * sigma, 0.0)
 
 
@@ -146,6 +180,7 @@ def _describe(memory: Any, features: Any) -> None:
         features[k] = memory[_MEANS + k]
     for k in range(_SPREADS):
         features[count + k] = math.sqrt(max(memory[_MEANS + count + k], 0.0))
-    features[count + 4] = memory[_MEANS + 1] - memory[_MEANS]
-    features[count + 5] = memory[2]
-    features[count + 6] = math.log(0.1 + memory[1] - memory[3])
+    at = count + _SPREADS
+    features[at] = memory[_MEANS + 1] - memory[_MEANS]
+    features[at + 1] = memory[2]
+    features[at + 2] = math.log(0.1 + memory[1] - memory[3])

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from rangecam.classify.features import FEATURES, observe
+from rangecam.classify.features import FEATURES, is_resolved, observe
 from rangecam.classify.settings import ClassificationSettings
 from rangecam.errors import DataError
 from rangecam.types import CLASSES, Ego, Floats, Ints, Segments, Tracks, TrackStatus
@@ -43,18 +43,27 @@ class Model:
 
 
 def learned(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments: Segments) -> Tracks:
-    """Return the tracks with new class probabilities, by a trained model, and the memory that it needs.
-
-    The probabilities of the three classes are the model's, less a part for `unknown` that is as large as the greatest
-    of them where that is `unknown_below`, and vanishes where it is certain; their proportions stay.
-    """
+    """Return the tracks with new class probabilities, by a trained model, and the memory that it needs."""
     memory, features = observe(tracks, ego, segments)
-    probability = np.empty((tracks.status.size, len(CLASSES)))
-    model = load_model(settings.model)
-    given = tracks.status, tracks.class_probability, features, *_arrays(model), settings.unknown_below
+    probability = np.array(tracks.class_probability, float)
+    confirmed = tracks.status == _CONFIRMED
+    if confirmed.any():
+        probability[confirmed] = class_probabilities(features[confirmed], load_model(settings.model), settings)
+    return replace(tracks, class_probability=probability, class_memory=memory)
+
+
+def class_probabilities(features: Floats, model: Model, settings: ClassificationSettings) -> Floats:
+    """Return the probabilities of all classes (N, 4) for features (N, F), with `unknown`.
+
+    Those of the three classes are the model's, less a part for `unknown` that is as large as the greatest of them where
+    that is `unknown_below` (`unresolved_below`, for what the image does not resolve), and vanishes where it is certain;
+    their proportions stay.
+    """
+    probability = np.empty((len(features), len(CLASSES)))
+    given = np.ascontiguousarray(features, float), *_arrays(model), settings.unknown_below, settings.unresolved_below
     kernel: Any = _classify  # as mypy cannot count arrays that a function returns
     kernel(*given, probability)
-    return replace(tracks, class_probability=probability, class_memory=memory)
+    return probability
 
 
 def probabilities(features: Floats, model: Model) -> Floats:
@@ -124,8 +133,6 @@ def _arrays(model: Model) -> tuple[Any, ...]:
 
 @njit(cache=True, nogil=True)
 def _classify(
-    status: Any,
-    earlier: Any,
     features: Any,
     feature: Any,
     threshold: Any,
@@ -136,22 +143,20 @@ def _classify(
     base: Any,
     temperature: Any,
     unknown_below: Any,
+    unresolved_below: Any,
     probability: Any,
 ) -> None:
-    told = np.empty((1, 3))
-    for i in range(status.size):
-        for k in range(4):
-            probability[i, k] = earlier[i, k]
-        if status[i] != _CONFIRMED:
-            continue
-        _probabilities(features[i : i + 1], feature, threshold, left, right, value, roots, base, temperature, told)
-        most = max(told[0, 0], told[0, 1], told[0, 2])
-        # odds of unknown against the likeliest class: 1 where that is as probable as `unknown_below`
-        odds = (1.0 - most) / most * unknown_below / (1.0 - unknown_below)
+    told = np.empty((len(features), 3))
+    _probabilities(features, feature, threshold, left, right, value, roots, base, temperature, told)
+    for i in range(len(features)):
+        most = max(told[i, 0], told[i, 1], told[i, 2])
+        below = unknown_below if is_resolved(features[i]) else unresolved_below
+        # odds of unknown against the likeliest class: 1 where that is as probable as `below`
+        odds = (1.0 - most) / most * below / (1.0 - below)
         unknown = most * odds / (1.0 + most * odds)
         probability[i, 0] = unknown
         for k in range(3):
-            probability[i, 1 + k] = (1.0 - unknown) * told[0, k]
+            probability[i, 1 + k] = (1.0 - unknown) * told[i, k]
 
 
 @njit(cache=True, nogil=True)

@@ -35,5 +35,8 @@ class ClassificationSettings:
     """Rules: share of the earlier class probabilities in the new ones."""
     model: str = ""
     """Learned: file of a model (`rangecam train`); empty: the one that ships."""
-    unknown_below: Annotated[float, Interval(ge=0, lt=1)] = 0.85
-    """Learned: a track is `unknown` if no class is more probable than this."""
+    unknown_below: Annotated[float, Interval(ge=0, lt=1)] = 0.5
+    """Learned: a track is `unknown` if no class is more probable than this, ..."""
+    unresolved_below: Annotated[float, Interval(ge=0, lt=1)] = 0.85
+    """... or than this, where the image does not resolve it: it is cut short beside or hidden in three quarters of the
+    last second, or has fewer than 4 by 4 pixels."""

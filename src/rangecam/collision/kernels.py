@@ -248,7 +248,7 @@ def _sampled_quantiles(
         e = points[k]
         d = motion[0] + block[0, 0] * e[0]
         v = motion[1] + block[1, 0] * e[0] + block[1, 1] * e[1]
-        a = motion[2] + block[2, 0] * e[0] + block[2, 1] * e[1] + block[2, 2] * e[3]
+        a = motion[2] + block[2, 0] * e[0] + block[2, 1] * e[1] + block[2, 2] * e[2]
         times[k] = time_to_reach(d, v, a)
     times.sort()
     for k in range(z.size):
@@ -328,35 +328,32 @@ def _p_contact(P: Floats, where: Path, outline: Outline, limits: Floats, points:
     """Return the probability of a contact within the horizon, that of one if our front is reached, the likeliest side.
 
     Seen from the face ahead of which the object is (the front, else a side, else the rear): each point of the
-    distribution of all but the position along the face gives the time at which the face is reached, and the time at
-    which the other end of the outline is. The position along the face is Gaussian given the point. The path touches
-    the face if it is there between the corners, and one of the next sides if it comes in before the other end.
+    distribution of the motion across the face gives the time at which the face is reached, and the time at which the
+    other end of the outline is. Given the point, where the object is along the face at both times is Gaussian, with
+    what its speed drifts until then. The path touches the face if it is there between the corners, and one of the next
+    sides if it comes in before the other end.
     """
     horizon, use_a = limits[4] + limits[9], limits[5]
     k, sign, face = _face_ahead(where, outline)
     gap = sign * where[k] - outline[k]
     t = min(horizon, time_to_reach(gap, sign * where[2 + k], sign * where[4 + k]))
-    along, across = _longitudinal(P, 0, t, limits), _longitudinal(P, 3, t, limits)
-    if use_a == 0 and where[5] == 0 and _is_excluded(where, outline, along, across, horizon):
-        return 0.0, 0.0, _NONE
-    L = _root(P, k, along, across, use_a)
+    if use_a == 0 and where[5] == 0:
+        far = _longitudinal(P, 0, horizon, limits), _longitudinal(P, 3, horizon, limits)
+        if _is_excluded(where, outline, far[0], far[1], horizon):
+            return 0.0, 0.0, _NONE
+    L = _root(P, k, _longitudinal(P, 3 * k, t, limits), _longitudinal(P, 3 - 3 * k, 0.0, limits), use_a)
     n, hits, reached, sides = points.shape[0], 0.0, 0, np.zeros(5)
     for m in range(n):
         e = points[m]
-        v = where[2 + k] + L[1, 0] * e[0] + L[1, 1] * e[1]
-        w = where[3 - k] + L[2, 0] * e[0] + L[2, 1] * e[1] + L[2, 2] * e[2]
-        a, b, along_face = where[4 + k], where[5 - k], where[1 - k]
-        for c in range(5):
-            along_face += L[5, c] * e[c]
-            if use_a != 0:
-                a, b = a + L[3, c] * e[c], b + L[4, c] * e[c]
         gap_here = gap + sign * L[0, 0] * e[0]
+        v = where[2 + k] + L[1, 0] * e[0] + L[1, 1] * e[1]
+        a = where[4 + k] + L[2, 0] * e[0] + L[2, 1] * e[1] + L[2, 2] * e[2]
         first = time_to_reach(gap_here, sign * v, sign * a)
         if first > horizon:
             continue
         last = min(time_to_reach(gap_here + 2 * outline[k], sign * v, sign * a), horizon)
         reached += 1
-        chances = _chances((along_face, w, b, L[5, 5]), (v + a * first, first, last), outline, k)
+        chances = _chances(_along_face(L, e, where, k, (first, last, limits[6])), v + a * first, outline, k)
         hits += chances[0] + chances[1] + chances[2]
         sides[face] += chances[0]
         sides[_LEFT if k == 0 else _FRONT] += chances[1]
@@ -377,48 +374,95 @@ def _face_ahead(where: Path, outline: Outline) -> tuple[int, float, int]:
 
 @njit(cache=True, nogil=True)
 def _root(
-    P: Floats, k: int, along: tuple[float, float, float], across: tuple[float, float, float], use_a: float
+    P: Floats, k: int, mine: tuple[float, float, float], other: tuple[float, float, float], use_a: float
 ) -> Floats:
-    """Return the Cholesky root (6, 6) of: across a face position, speed; speed along it; accelerations; position.
+    """Return the Cholesky root (6, 6) of: across a face position, speed, acceleration; along it the same.
 
-    k: axis across the face.
+    k: axis across the face; mine, other: what `_longitudinal` says of it, and of the other axis.
     """
-    first, second = 3 * k, 3 - 3 * k
-    order = first, first + 1, second + 1, first + 2, second + 2, second
     L = np.zeros((6, 6))
     for a in range(6):
         for b in range(a + 1):
-            if use_a != 0 or (a != 3 and a != 4 and b != 3 and b != 4):
-                L[a, b] = P[order[a], order[b]]
-    mine, other = (along, across) if k == 0 else (across, along)
-    L[0, 0], L[1, 1], L[5, 5], L[2, 2] = mine[0], mine[2], other[0], other[2]
+            if use_a != 0 or (a != 2 and a != 5 and b != 2 and b != 5):
+                L[a, b] = P[(3 * k + a) % 6, (3 * k + b) % 6]
+    L[0, 0], L[1, 1], L[3, 3], L[4, 4] = mine[0], mine[2], other[0], other[2]
     _cholesky(L)
     return L
 
 
 @njit(cache=True, nogil=True)
+def _along_face(
+    L: Floats, e: Floats, where: Path, k: int, times: tuple[float, float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """Return where an object is along a face at two times, given a point: means, sigmas, correlation; and how fast.
+
+    times: both, and the variance that the speed drifts in a second. A speed that walks at random with q moves the
+    object by a variance of q t^3 / 3, of which q first^2 (3 last - first) / 6 is common to both times.
+    """
+    first, last, q = times
+    u, w, b = where[1 - k], where[3 - k], where[5 - k]
+    for c in range(3):
+        u, w, b = u + L[3, c] * e[c], w + L[4, c] * e[c], b + L[5, c] * e[c]
+    here, there, both = q * first**3 / 3, q * last**3 / 3, q * first * first * (3 * last - first) / 6
+    spread, shared = 1e-24, 0.0
+    for c in range(3, 6):
+        one = L[3, c] + first * L[4, c] + first * first / 2 * L[5, c]
+        two = L[3, c] + last * L[4, c] + last * last / 2 * L[5, c]
+        here, there, both = here + one * one, there + two * two, both + one * two
+        spread, shared = spread + L[4, c] ** 2, shared + L[4, c] * one
+    here, there = math.sqrt(max(here, 1e-24)), math.sqrt(max(there, 1e-24))
+    common = min(max(both / (here * there), -1.0), 1.0)
+    s = math.sqrt(max(spread - (shared / here) ** 2, 1e-24))  # of the speed of what comes to one place of the face
+    speed = s * math.sqrt(2 / math.pi) * math.exp(-w * w / (2 * s * s)) + w * (2 * _normal(w / s) - 1)
+    return _at(u, w, b, first), here, _at(u, w, b, last), there, common, speed
+
+
+@njit(cache=True, nogil=True)
 def _chances(
-    free: tuple[float, float, float, float], passing: tuple[float, float, float], outline: Outline, k: int
+    free: tuple[float, float, float, float, float, float], v: float, outline: Outline, k: int
 ) -> tuple[float, float, float]:
     """Return the probabilities that a path touches a face, and each of the sides next to it.
 
-    free: position along the face, speed, acceleration and the standard deviation of the position; passing: speed
-    across, times at this face and at the opposite one. Rounded corners take away what their support function lacks:
-    |v| h(n) with n across the path, which is r (|v| + |w| - |(v, w)|) less.
+    free: see `_along_face`; v: speed across. Rounded corners take away what their support function lacks: |v| h(n) with
+    n across the path, which is r (|v| + |w| - |(v, w)|) less, for the mean of |w|.
     """
-    u, w, b, sigma = free
-    v, first, last = passing
-    sigma = max(sigma, 1e-12)
+    here, sigma, there, later, common, w = free
     half = outline[1 - k]
-    here, there = u + _at(0.0, w, b, first), u + _at(0.0, w, b, last)
-    cut = outline[2] * (abs(w) / abs(v) + 1 - math.hypot(1.0, w / v)) if outline[2] > 0 and v != 0 else 0.0
-    beyond, before = 1 - _normal((half - here) / sigma), _normal((-half - here) / sigma)
-    stays_beyond = min(1 - _normal((half - cut - min(here, there)) / sigma), 1.0)
-    stays_before = _normal((-half + cut - max(here, there)) / sigma)
+    cut = outline[2] * (w / abs(v) + 1 - math.hypot(1.0, w / v)) if outline[2] > 0 and v != 0 else 0.0
+    beyond, before = _normal((here - half) / sigma), _normal((-half - here) / sigma)
+    edge = half - cut
+    stays_beyond = _both_above((edge - here) / sigma, (edge - there) / later, common)
+    stays_before = _both_above((edge + here) / sigma, (edge + there) / later, common)
     at_face = max(1 - beyond - before, 0.0)
     left, right = beyond - stays_beyond, before - stays_before
     lost = min(left, 0.0) + min(right, 0.0)
     return max(at_face + lost, 0.0), max(left, 0.0), max(right, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _both_above(h: float, k: float, r: float) -> float:
+    """Return the probability that two standard normal variables of correlation r are above h and above k.
+
+    Its derivative by r is the density at (h, k) (Plackett 1954). With r = sin a it is integrated from the nearer of
+    what is known: the product at r = 0, the smaller of both at r = 1.
+    """
+    alone = _normal(-h), _normal(-k)
+    smaller = min(alone[0], alone[1])
+    if smaller < _NEGLIGIBLE or 1 - max(alone[0], alone[1]) < _NEGLIGIBLE:
+        return smaller
+    angle = math.asin(r)
+    known, start = (smaller, math.pi / 2) if r > 0.7 else (alone[0] * alone[1], 0.0)
+    total = 0.0
+    for i in range(len(_NODES)):
+        a = start + (angle - start) * _NODES[i, 0]
+        cosine2 = max(math.cos(a) ** 2, 1e-30)
+        total += _NODES[i, 1] * math.exp(-((h - k) ** 2 / cosine2 / 2 + h * k / (1 + math.sin(a))))
+    return min(max(known + total * (angle - start) / (2 * math.pi), 0.0), smaller)
+
+
+_NEGLIGIBLE = 1e-5
+_NODES: Floats = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [0.5, 0.0]
+"""Places and weights of Gauss and Legendre between 0 and 1."""
 
 
 @njit(cache=True, nogil=True)

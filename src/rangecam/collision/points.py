@@ -6,22 +6,20 @@ from scipy.special import ndtri
 from rangecam.types import Floats
 
 
-def gaussian_points(count: int) -> Floats:
-    """Return points (count, 5) with mean 0 and covariance 1, in standard deviations.
+def gaussian_points(count: int, dimensions: int = 3) -> Floats:
+    """Return points (count, 3) with mean 0 and covariance 1, in standard deviations; zeros beyond the `dimensions`.
 
-    Columns: position and speed across a face, speed along it, acceleration across and along. A quarter of them is a
-    sequence of low discrepancy (Roberts 2018: multiples of powers of the root of g^6 = g + 1), mapped to normal
-    quantiles; the others are its mirror images across and along. So the mean is exactly 0, left is as likely as
-    right, and mirrored tracks have mirrored collisions. `count` is a multiple of 4.
+    Columns: position, speed and acceleration across a face. Half of them is a sequence of low discrepancy (Roberts
+    2018: multiples of powers of the root of g^(d + 1) = g + 1), mapped to normal quantiles; the others are its mirror
+    images. So the mean is exactly 0, and mirrored tracks have mirrored collisions. `count` is a multiple of 2.
     """
     g = 1.0
     for _ in range(60):
-        g = (1 + g) ** (1 / 6)
-    steps = g ** -np.arange(1.0, 6.0)
-    base = ndtri((0.5 + np.arange(1, count // 4 + 1)[:, None] * steps) % 1.0)
-    for block in ([0, 1, 3], [2, 4]):  # the mirror images take away what is between the blocks
-        moment = base[:, block].T @ base[:, block] / len(base)
-        base[:, block] = np.linalg.solve(np.linalg.cholesky(moment), base[:, block].T).T
-    across, along = np.ones(5), np.ones(5)
-    across[[0, 1, 3]], along[[2, 4]] = -1.0, -1.0
-    return np.ascontiguousarray(np.concatenate([base, base * across, base * along, base * across * along]))
+        g = (1 + g) ** (1 / (dimensions + 1))
+    steps = g ** -np.arange(1.0, dimensions + 1)
+    base = ndtri((0.5 + np.arange(1, count // 2 + 1)[:, None] * steps) % 1.0)
+    moment = base.T @ base / len(base)
+    base = np.linalg.solve(np.linalg.cholesky(moment), base.T).T
+    points = np.zeros((count, 3))
+    points[:, :dimensions] = np.concatenate([base, -base])
+    return points

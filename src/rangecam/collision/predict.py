@@ -43,8 +43,8 @@ class InPath(NamedTuple):
 
 
 _COLUMNS = len(InPath._fields)
-_POINTS = gaussian_points(64), gaussian_points(256)
-"""Of velocities, and of accelerations as well: two more directions to look into."""
+_POINTS = gaussian_points(64, 2), gaussian_points(256)
+"""Of velocities, and of accelerations as well: one more direction to look into."""
 
 
 def look_ahead(

@@ -85,24 +85,74 @@ _CELLS_IN_RADIUS = 10
 
 def _cells(image: RangeImage, points: Floats, size_m: float) -> tuple[Ints, Floats]:
     """Return which cell each pixel's point is in (H, W), -1 for none, and sums of each cell: x, y, z, number (C, 4)."""
-    cell_of = np.full(image.shape, -1, np.int64)
-    seen = (image.why == 0) & np.isfinite(points).all(axis=-1)
-    if not seen.any():
+    cell_of, why = np.full(image.shape, -1, np.int64), np.ascontiguousarray(image.why)
+    limits = np.empty((2, 3))
+    count = _limits(points, why, size_m, limits)
+    if count == 0:
         return cell_of, np.zeros((0, 4))
-    chosen = points[seen].astype(np.float64)
-    place = np.floor(chosen / size_m)
-    place -= place.min(axis=0)
-    extent = place.max(axis=0) + 1
+    extent = limits[1] - limits[0] + 1
     if extent.prod() > MAX_CELLS:
         raise DataError(
             f"valid points spread over {' x '.join(f'{n * size_m:.3g}' for n in extent)} m; cells of {size_m:.3g} m "
             f"make more than {MAX_CELLS}: check the data, or set segments.bandwidth_m or segments.cluster_radius_m"
         )
-    key = (place[:, 0] * extent[1] + place[:, 1]) * extent[2] + place[:, 2]
-    _, inverse = np.unique(key.astype(np.int64), return_inverse=True)
-    cell_of[seen] = inverse
-    sums = [np.bincount(inverse, chosen[:, axis]) for axis in range(3)]
-    return cell_of, np.stack([*sums, np.bincount(inverse).astype(np.float64)], axis=1)
+    keys, sums = np.full(2 * count + 1, -1, np.int64), np.zeros((count, 4))
+    places = np.empty(count, np.int64)
+    found = _gather(points, why, size_m, limits[0], extent, keys, places, cell_of, sums)
+    order = np.argsort(places[:found])  # by place, as numbers by the scan would hang on the noise of the first pixels
+    rank = np.empty(found + 1, np.int64)
+    rank[order], rank[found] = np.arange(found), -1
+    return rank[cell_of], sums[order]
+
+
+@njit(cache=True, nogil=True)
+def _limits(points: Any, why: Any, size: float, limits: Any) -> int:
+    """Write the least and the greatest cell of the points along each axis (2, 3); return how many points there are."""
+    limits[0], limits[1] = np.inf, -np.inf
+    count = 0
+    for row in range(why.shape[0]):
+        for column in range(why.shape[1]):
+            x, y, z = points[row, column, 0], points[row, column, 1], points[row, column, 2]
+            if why[row, column] == 0 and math.isfinite(x + y + z):
+                count += 1
+                for axis in range(3):
+                    place = math.floor(float(points[row, column, axis]) / size)
+                    limits[0, axis] = min(limits[0, axis], place)
+                    limits[1, axis] = max(limits[1, axis], place)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    points: Any, why: Any, size: float, low: Any, extent: Any, keys: Any, places: Any, cell_of: Any, sums: Any
+) -> int:
+    """Number the cells in the order of the scan and sum their points; return how many there are.
+
+    keys: a table of places, -1 where it is free, in which a place is looked for from its remainder on. Written: places
+    (N,) of the cells, cell_of (H, W), sums (N, 4).
+    """
+    found, number = 0, np.empty(len(keys), np.int64)
+    for row in range(why.shape[0]):
+        for column in range(why.shape[1]):
+            x, y, z = float(points[row, column, 0]), float(points[row, column, 1]), float(points[row, column, 2])
+            if why[row, column] != 0 or not math.isfinite(x + y + z):
+                continue
+            i, j, k = math.floor(x / size) - low[0], math.floor(y / size) - low[1], math.floor(z / size) - low[2]
+            key = int((i * extent[1] + j) * extent[2] + k)
+            slot = key % len(keys)
+            while keys[slot] != key and keys[slot] >= 0:
+                slot = slot + 1 if slot + 1 < len(keys) else 0
+            if keys[slot] < 0:
+                keys[slot], number[slot] = key, found
+                places[found] = key
+                found += 1
+            cell = number[slot]
+            cell_of[row, column] = cell
+            sums[cell, 0] += x
+            sums[cell, 1] += y
+            sums[cell, 2] += z
+            sums[cell, 3] += 1.0
+    return found
 
 
 def _spread(cell_of: Ints, group_of: Ints) -> Floats:
@@ -157,24 +207,25 @@ _ROUNDS = 100
 
 @njit(cache=True, nogil=True)
 def _climb(cells: Any, place: Any, grid: Any, radius: float, summits: Any) -> None:
-    """Move each cell's mean to the mean of the points within the radius until it rests."""
-    here, total = np.empty(3), np.empty(4)
+    """Move each cell's mean to the mean of the points within the radius, two cells, until it rests."""
+    here, total, means = np.empty(3), np.empty(4), np.empty((len(cells), 3))
     for c in range(len(cells)):
         for axis in range(3):
-            here[axis] = cells[c, axis] / cells[c, 3]
+            means[c, axis] = cells[c, axis] / cells[c, 3]
+    for c in range(len(cells)):
+        here[:] = means[c]
         at = place[c].copy()
         for _ in range(_ROUNDS):
             total[:] = 0.0
-            for i in range(max(at[0] - 3, 0), min(at[0] + 4, grid.shape[0])):
-                for j in range(max(at[1] - 3, 0), min(at[1] + 4, grid.shape[1])):
-                    for k in range(max(at[2] - 3, 0), min(at[2] + 4, grid.shape[2])):
+            for i in range(max(at[0] - 2, 0), min(at[0] + 3, grid.shape[0])):
+                for j in range(max(at[1] - 2, 0), min(at[1] + 3, grid.shape[1])):
+                    for k in range(max(at[2] - 2, 0), min(at[2] + 3, grid.shape[2])):
                         other = grid[i, j, k]
                         if other >= 0:
-                            away2 = 0.0
-                            for axis in range(3):
-                                away2 += (cells[other, axis] / cells[other, 3] - here[axis]) ** 2
-                            if away2 <= radius * radius:
-                                total += cells[other]
+                            x, y, z = means[other, 0] - here[0], means[other, 1] - here[1], means[other, 2] - here[2]
+                            if x * x + y * y + z * z <= radius * radius:
+                                for axis in range(4):
+                                    total[axis] += cells[other, axis]
             moved2 = 0.0
             for axis in range(3):
                 new = total[axis] / total[3]

@@ -22,14 +22,19 @@ class Examples:
     """Moments of tracks.
 
     features (N, F): see `classify.features`. classes (N,): index of `CLASSES` that the truth has. given (N, 4): class
-    probabilities that the configuration of the drives gave. range_m (N,). kinds (N,) str. drives (N,) int: where each
-    comes from: examples of one drive belong together.
+    probabilities that the configuration of the drives gave. range_m (N,). pixels (N, 2): columns and rows of its box in
+    the image, cut (N,): bits of `Cut`, share (N,): of the pixels that show its main object, those that are in its
+    segment; all of that moment. kinds (N,) str. drives (N,) int: where each comes from:
+    examples of one drive belong together.
     """
 
     features: Floats
     classes: Ints
     given: Floats
     range_m: Floats
+    pixels: Ints
+    cut: Ints
+    share: Floats
     kinds: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
     drives: Ints
 
@@ -53,7 +58,7 @@ def simulated(lot: Lot) -> Examples:
     Each third frame of a confirmed track is an example, if its segment shows things of one class.
     """
     config = load_config(lot.preset, lot.settings)
-    rows: list[tuple[Floats, int, Floats, float, str, int]] = []
+    rows: list[tuple[Any, ...]] = []
     for number in lot.numbers:
         rng = np.random.default_rng([lot.seed, number])
         drive = random_drive(lot.preset, lot.given, rng)
@@ -76,22 +81,25 @@ def joined(several: Iterable[Examples]) -> Examples:
     return Examples(*(np.concatenate(column) for column in columns))
 
 
-def _examples(rows: list[tuple[Floats, int, Floats, float, str, int]]) -> Examples:
-    features, classes, given, range_m, kinds, drives = zip(*rows, strict=True) if rows else ((),) * 6
+def _examples(rows: list[tuple[Any, ...]]) -> Examples:
+    features, classes, given, range_m, pixels, cut, share, kinds, drives = (
+        zip(*rows, strict=True) if rows else ((),) * 9
+    )
     return Examples(
         np.array(features, float).reshape(-1, len(FEATURES)),
         np.array(classes, int),
         np.array(given, float).reshape(-1, 4),
         np.array(range_m, float),
+        np.array(pixels, int).reshape(-1, 2),
+        np.array(cut, int),
+        np.array(share, float),
         np.array(kinds, str),
         np.array(drives, int),
     )
 
 
-def _seen(
-    capture: Capture, frame: Frame, features: Floats, drive: Drive, k: int
-) -> list[tuple[Floats, int, Floats, float, str]]:
-    """Return features, class, given probabilities, range and kind of the tracks whose turn it is in frame `k`."""
+def _seen(capture: Capture, frame: Frame, features: Floats, drive: Drive, k: int) -> list[tuple[Any, ...]]:
+    """Return a row of `Examples`, but for the drive, for each track whose turn it is in frame `k`."""
     tracks, found = frame.tracks, []
     if capture.truth is None:
         return []
@@ -104,7 +112,11 @@ def _seen(
         best = int(np.argmax(counts))
         if best == 0 or counts[best] < _OWN_SHARE * counts.sum():
             continue
-        kind = drive.kinds[int(np.argmax(np.bincount(objects, minlength=len(of_object))[1:]))]
+        per_object = np.bincount(objects, minlength=len(of_object))[1:]
+        main = int(np.argmax(per_object))
+        share = per_object[main] / np.count_nonzero((capture.truth.object_id == main + 1) & frame.image.valid)
         segment = frame.segments[int(tracks.segment[i]) - 1]
-        found.append((features[i], best, tracks.class_probability[i], segment.range_m, kind))
+        top, left, bottom, right = segment.box
+        seen = segment.range_m, (right - left, bottom - top), segment.cut, share
+        found.append((features[i], best, tracks.class_probability[i], *seen, drive.kinds[main]))
     return found

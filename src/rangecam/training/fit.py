@@ -9,14 +9,14 @@ from rangecam.errors import UsageError
 from rangecam.training.examples import Examples
 from rangecam.types import CLASSES, Floats, Ints
 
-_ROUNDS = 70
-_LEAVES = 10
-_RATE = 0.12
-_VALIDATION = 4  # each fourth drive is kept to find the temperature
+_ROUNDS = 150
+_LEAVES = 12
+_RATE = 0.1
+_VALIDATION = 4  # each fourth drive is kept until the temperature is found
 
 
 def fit(examples: Examples, seed: int) -> Model:
-    """Return the model of these examples: every drive counts, but each fourth only for the temperature.
+    """Return the model of these examples; its temperature is that of trees which have not seen each fourth drive.
 
     All classes and all kinds of things weigh alike, however many pixels and frames there are of them. Raises UsageError
     if a class is missing, or scikit-learn is.
@@ -27,8 +27,8 @@ def fit(examples: Examples, seed: int) -> Model:
     held = examples.drives % _VALIDATION == 0
     weights = _weights(examples)
     grown = _grow(examples.features[~held], examples.classes[~held] - 1, weights[~held], seed)
-    model = _taken_out(grown)
-    temperature = _temperature(model, examples.features[held], examples.classes[held] - 1, weights[held])
+    temperature = _temperature(_taken_out(grown), examples.features[held], examples.classes[held] - 1, weights[held])
+    model = _taken_out(_grow(examples.features, examples.classes - 1, weights, seed))
     return Model(**{**vars(model), "temperature": temperature})
 
 
@@ -45,19 +45,21 @@ def _weights(examples: Examples) -> Floats:
 def _grow(features: Floats, classes: Ints, weights: Floats, seed: int) -> Any:
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
+        from threadpoolctl import threadpool_limits  # which scikit-learn brings along
     except ImportError as error:
         raise UsageError("training needs scikit-learn: pip install 'rangecam[train]'") from error
     grower = HistGradientBoostingClassifier(
         max_iter=_ROUNDS,
         max_leaf_nodes=_LEAVES,
         learning_rate=_RATE,
-        min_samples_leaf=40,
+        min_samples_leaf=30,
         l2_regularization=5.0,
         max_features=0.5,
         early_stopping=False,
         random_state=seed,
     )
-    return grower.fit(features, classes, sample_weight=weights)
+    with threadpool_limits(1):  # threads that wait for each other take minutes where others use the cores
+        return grower.fit(features, classes, sample_weight=weights)
 
 
 def _taken_out(grown: Any) -> Model:

@@ -3,9 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
-from rangecam.classify.learned import Model, probabilities
+from rangecam.classify.learned import Model, class_probabilities
 from rangecam.classify.settings import ClassificationSettings
 from rangecam.training.drives import DriveSettings
 from rangecam.training.examples import Examples, Lot, joined, simulated
@@ -71,12 +69,7 @@ def simulate(lots: Sequence[Lot], over: Map) -> Examples:
 
 def told(examples: Examples, model: Model, settings: ClassificationSettings | None = None) -> Floats:
     """Return what the chain would say with this model: the probabilities of all classes (N, 4), with `unknown`."""
-    below = (settings or ClassificationSettings()).unknown_below
-    three = probabilities(examples.features, model)
-    most = three.max(axis=1)
-    odds = (1 - most) * below / (1 - below)
-    unknown = odds / (1 + odds)
-    return np.column_stack([unknown, (1 - unknown)[:, None] * three])
+    return class_probabilities(examples.features, model, settings or ClassificationSettings())
 
 
 def scores(model: Model, drives: int, seed: int, over: Map) -> dict[str, dict[str, Any]]:

@@ -89,7 +89,7 @@ def side_by_side(
     """
     if not steps:
         raise DataError(f"{name}: no frame that could be followed")
-    every = [vars(segments) for _, segments in steps]
+    every = [_measured(segments) for _, segments in steps]
     joined = Segments(**{key: np.concatenate([one[key] for one in every]) for key in every[0]})
     sizes = [len(segments) for _, segments in steps]
     order, frame = np.argsort(joined.label, kind="stable"), np.repeat(np.arange(len(steps)), sizes)
@@ -102,7 +102,12 @@ def side_by_side(
 
 
 def _part(segments: Segments, which: Any) -> Segments:
-    return Segments(**{key: array[which] for key, array in vars(segments).items()})
+    return Segments(**{key: array[which] for key, array in _measured(segments).items()})
+
+
+def _measured(segments: Segments) -> dict[str, Any]:
+    """Return the fields of segments, without the profile of their outlines: no filter asks for it."""
+    return {key: array for key, array in vars(segments).items() if key != "profile"}
 
 
 def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
