@@ -17,12 +17,12 @@ from rangecam.types import Ego, Floats, Ints, Truth
 
 __all__ = ["GROUND", "RayBundle", "ego_at", "ego_of", "own_pose", "ray_bundle", "render", "truth"]
 
-_RUN = 128
+_RUN = 256
 
 
 @dataclass(frozen=True, eq=False)
 class RayBundle:
-    """Rays of a camera in vehicle axes, those of neighbouring pixels together: in runs of up to 128.
+    """Rays of a camera in vehicle axes, those of neighbouring pixels together: in runs of up to 256.
 
     origin_m (3,): where they start. directions (3, R) float32: unit vectors, component by component.
     place (R,) int32: where the result of each ray belongs, in an image of shape (K, H, W).
