@@ -6,7 +6,7 @@ beyond their limits, codes without a name) is refused here, always as a `CodecEr
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any
 
@@ -176,14 +176,19 @@ def encode(message: Message) -> tuple[int, bytes]:
 
 def decode(can_id: int, data: bytes) -> Message:
     """Return the message of a frame. Raises CodecError, and nothing else, for whatever is none."""
+    return _decoded(can_id, bytes(data))
+
+
+@lru_cache(maxsize=256)
+def _decoded(can_id: int, data: bytes) -> Message:
     known = _by_identifier().get(can_id)
     if known is None:
         raise CodecError(Reason.UNKNOWN_ID, f"0x{can_id:X} is no message of the car")
     if len(data) != known.length:
         raise CodecError(Reason.LENGTH, f"{known.name} has {known.length} bytes, not {len(data)}")
-    if can_id == MASTER_ID and bytes(data[6:]) != MAGIC:
+    if can_id == MASTER_ID and data[6:] != MAGIC:
         return GiveBack()
-    values = known.decode(bytes(data), decode_choices=False)
+    values = known.decode(data, decode_choices=False)
     kind, fields = FIELDS[known.name]
     for signal in fields.values():
         _check_range(known.name, signal, values[signal])
