@@ -1,4 +1,4 @@
-"""What `rangecam bench` measures: every stage of both theses' chains, whole chains, tracker, simulation and closed loop."""
+"""What `rangecam bench` measures: the stages of both theses' chains, chains, tracker, simulation and closed loop."""
 
 import os
 import platform
@@ -42,7 +42,15 @@ def measure(seconds: float) -> dict[str, Any]:
     """Time everything, about `seconds` a row, and return JSON values: rows and the machine."""
     rows = [
         row
-        for family in (_continuous_wave, _three_frequencies, _pulsed, _tracker, _segmentation, _simulation, _closed_loop)
+        for family in (
+            _continuous_wave,
+            _three_frequencies,
+            _pulsed,
+            _tracker,
+            _segmentation,
+            _simulation,
+            _closed_loop,
+        )
         for row in family(seconds)
     ]
     return {

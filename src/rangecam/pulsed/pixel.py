@@ -130,7 +130,7 @@ def read_out(
 
 @lru_cache(maxsize=16)
 def _of_read_outs(pixel: Pixel) -> tuple[Floats, Floats, Floats]:
-    """Return what `_read_out` is told of the pixel: numbers of accumulations, damping after each, sizes of its noise."""
+    """Return what `_read_out` is told of a pixel: numbers of accumulations, damping after each, sizes of noise."""
     steps = np.array(sorted(pixel.accumulations), np.float64)
     sensor_v, readout_v = remaining_v(pixel)
     per_photon = float(photon_noise(1.0, pixel)) ** 2

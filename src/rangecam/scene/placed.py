@@ -45,7 +45,7 @@ def placed(
 
 @lru_cache(maxsize=64)
 def _still(objects: tuple[SceneObject, ...], with_ground: bool) -> tuple[Floats, tuple[int, ...]]:
-    """Return what `_now` says of the objects that stay where they are (N or N + 1, 6), and the numbers of the others."""
+    """Return what `_now` says of objects that stay where they are (N or N + 1, 6), and the numbers of the others."""
     rows = np.zeros((len(objects) + with_ground, 6))
     moving = tuple(i for i, thing in enumerate(objects) if not stands(thing.path))
     for i in set(range(len(objects))) - set(moving):

@@ -142,7 +142,7 @@ def ego_of(pose: Pose, time_s: float) -> Ego:
 def _cast_rays(
     scenario: Scenario, time_s: float, bundle: RayBundle, own: OwnMotion | None, numbered: bool
 ) -> tuple[Floats, Floats, Floats, Ints]:
-    """Return range, reflectivity, cosine of incidence and, if `numbered`, object number of every ray, each (K, H, W)."""
+    """Return range, reflectivity, cosine of incidence and, if `numbered`, object of every ray, each (K, H, W)."""
     pose = own_pose(scenario, time_s, own)
     shapes, balls = placed(scenario.objects, time_s, pose, bundle.origin_m, scenario.ground_reflectivity)
     range_m, reflectivity, cos_incidence = (np.empty(bundle.shape, np.float32) for _ in range(3))
@@ -219,7 +219,7 @@ def _seen_from_origin(table: Any, at: Any, of_radius2: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _may_touch(cone: Any, seen: Any, i: Any) -> Any:
-    """Return whether a cone of rays from the origin can touch ball i: half its angle and half that of the ball apart."""
+    """Return whether a cone of rays from the origin can touch ball i: half its angle and that of the ball together."""
     if cone[3] <= 0:
         return True
     cos_limit = seen[i, 3] * cone[3] - seen[i, 4] * cone[4]  # cosine of the sum
