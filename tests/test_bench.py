@@ -20,6 +20,7 @@ ROWS = {
     *("cw_range_160x120", "cw_chain_160x120", "cw_range_640x480", "cw_chain_640x480", "pulsed_chain_64x8"),
     *("kinect2_decode_512x424", "tracker_20_ca", "tracker_20_imm", "region_growing_160x120"),
     *("simulate_cw_160x120", "simulate_pulsed_64x8"),
+    *("loop_cw_160x120", "loop_cw_160x120_imperfect", "loop_pulsed_64x8"),
 }
 
 

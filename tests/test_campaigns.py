@@ -129,7 +129,7 @@ def test_a_line_that_is_no_drive_is_told(line: str, tmp_path: Path) -> None:
 
 
 def test_failures_are_recorded_once(whole: Path) -> None:
-    record = partial(run.record_failures, whole, "scaled-car", 3, COARSE, watch=passed)
+    record = partial(run.record_failures, whole, "scaled-car", 3, COARSE, mapper=mapping(None, passed))
     (path,) = record(numbers=[1])
     before = path.stat().st_mtime_ns
     assert record(numbers=[1]) == [path]

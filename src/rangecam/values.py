@@ -6,6 +6,18 @@ from typing import Any, TypeVar, dataclass_transform
 T = TypeVar("T")
 
 
+def changed(whole: T, **fields: Any) -> T:
+    """Return a copy of a dataclass with some of its fields changed, in a quarter of the time of `dataclasses.replace`.
+
+    For values and states, which check nothing when they are made. Raises TypeError for a field that there is not.
+    """
+    if not fields.keys() <= whole.__dict__.keys():
+        raise TypeError(f"{type(whole).__name__} has no {', '.join(sorted(fields.keys() - whole.__dict__.keys()))}")
+    copy = object.__new__(type(whole))
+    copy.__dict__.update(whole.__dict__, **fields)
+    return copy
+
+
 @dataclass_transform(frozen_default=True, eq_default=False)
 def value(cls: type[T]) -> type[T]:
     """Make `cls` a frozen dataclass that compares by identity, as values with arrays must.

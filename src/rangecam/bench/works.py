@@ -1,4 +1,4 @@
-"""What `rangecam bench` measures: every stage of both theses' chains, whole chains, tracker and simulation."""
+"""What `rangecam bench` measures: the stages of both theses' chains, chains, tracker, simulation and closed loop."""
 
 import os
 import platform
@@ -16,6 +16,8 @@ from rangecam.bench.race import Row, race
 from rangecam.clean import clean
 from rangecam.config import Config, load_config
 from rangecam.cw.imperfections import imperfect
+from rangecam.drive.loop import drive
+from rangecam.drive.opening import opened
 from rangecam.io import open_source
 from rangecam.motion import Mode, MotionSettings
 from rangecam.pipeline import RANGING, call, process_frame
@@ -40,7 +42,15 @@ def measure(seconds: float) -> dict[str, Any]:
     """Time everything, about `seconds` a row, and return JSON values: rows and the machine."""
     rows = [
         row
-        for family in (_continuous_wave, _three_frequencies, _pulsed, _tracker, _segmentation, _simulation)
+        for family in (
+            _continuous_wave,
+            _three_frequencies,
+            _pulsed,
+            _tracker,
+            _segmentation,
+            _simulation,
+            _closed_loop,
+        )
         for row in family(seconds)
     ]
     return {
@@ -227,6 +237,25 @@ def _simulation(seconds: float) -> Iterator[Row]:
         rng = np.random.default_rng(1)
         ours = partial(simulators[camera.kind], partial(_same_view, view), camera, 0.0, rng)
         yield race(work, ours, "", None, seconds)
+
+
+def _closed_loop(seconds: float) -> Iterator[Row]:
+    """Yield a row for each camera: milliseconds a simulated frame of a whole drive, beside the period of its frames.
+
+    Scene, sensor, perception, brake, bus and vehicle, for 0.6 s; so the ratio says how much faster than real time
+    a campaign is driven on one core. The second camera has every imperfection that the simulation alone has.
+    """
+    works = (("loop_cw_160x120", "approach-box"), ("loop_cw_160x120_imperfect", "approach-box"),
+             ("loop_pulsed_64x8", "braking-car"))  # fmt: skip
+    for work, name in works:
+        scenario, config, settings = opened(name, None, [])
+        camera = config.camera
+        if work.endswith("imperfect") and camera.kind == "cw":
+            config = replace(config, camera=imperfect(camera))
+        ours = partial(drive, replace(scenario, duration_s=0.5), config, replace(settings, run_in_s=0.1))
+        frames = ours().frames
+        row = race(work, ours, "", None, seconds)
+        yield Row(work, row.ms / frames, "real time: the period of its frames", 1e3 / camera.frame_rate_hz)
 
 
 def _same_view(view: View, time_s: float) -> View:

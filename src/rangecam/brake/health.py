@@ -15,6 +15,7 @@ from rangecam.types import VELOCITY, Frame, RawFrame, TrackStatus, Why
 
 _MEASURED = [Why.VALID, Why.FLOOR, Why.OUTSIDE_AREA]
 """Pixels that measured something: what does not belong to an object shows as well that the lens is clear."""
+_IS_MEASURED = np.array([each in _MEASURED for each in range(256)])
 _CONSTANT = ("reference_range_m", "temperature_c", "status", "n_acc", "dark_")
 """Planes whose names begin so may stay as they are from image to image."""
 
@@ -71,7 +72,7 @@ def judge(frame: Frame, received_s: float, before: Health | None, settings: Heal
     took_s = received_s - frame.raw.time_s
     unchanged, repeats, fastest_s = 0.0, 0, took_s
     if before is not None:
-        unchanged = _unchanged(frame.raw, before.raw, np.isin(why, _MEASURED))
+        unchanged = _unchanged(frame.raw, before.raw, _IS_MEASURED[why])
         repeats = before.repeats + 1 if unchanged >= settings.frozen_fraction else 0
         drift_s = settings.clock_drift * max(0.0, received_s - before.received_s)
         fastest_s = min(took_s, before.fastest_s + drift_s)

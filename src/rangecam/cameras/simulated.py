@@ -47,7 +47,7 @@ def frame(
     """Return the one capture centred on `time_s`; `seed` and `frame_id` make its noise."""
     camera, shape = config.camera, (config.camera.rows, config.camera.columns)
     bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-    looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, frame_id, 1]), own)
+    looks = look(scenario, config, bundle, time_s, (seed, frame_id, 1), own)
     raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, frame_id]))
     return Capture(
         replace(raw, frame_id=frame_id),
@@ -61,18 +61,18 @@ def look(
     config: Config,
     bundle: RayBundle,
     time_s: float,
-    rng: np.random.Generator,
+    seeds: tuple[int, ...],
     own: OwnMotion | None = None,
 ) -> Callable[[float], View]:
     """Return what the camera sees of the scenario through its weather, as a function of the time near `time_s`.
 
-    The field of drops is drawn anew for `time_s`, and falls from there on.
+    The field of drops is drawn anew for `time_s`, by a generator of `seeds`, and falls from there on.
     """
     weather = scenario.weather
     if not (weather.rain_mm_per_h or weather.snow_mm_per_h or weather.drops or weather.clouds):
         return lambda at_s: render(scenario, at_s, bundle, own)
     camera, mounting = config.camera, config.mounting
-    pose = own_pose(scenario, time_s, own)
+    pose, rng = own_pose(scenario, time_s, own), np.random.default_rng(seeds)
     falling = precipitation(weather, camera.lens, mounting, (camera.rows, camera.columns), rng, pose.speed_mps)
     falling = joined(falling, clouds(weather, time_s, pose, rng))
 

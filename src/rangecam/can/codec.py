@@ -6,7 +6,7 @@ beyond their limits, codes without a name) is refused here, always as a `CodecEr
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any
 
@@ -139,6 +139,18 @@ def database() -> Any:
     return cantools.database.load_string(files("rangecam.can").joinpath("messages.dbc").read_text("utf-8"), "dbc")
 
 
+@cache
+def _by_identifier() -> dict[int, Any]:
+    return {each.frame_id: each for each in database().messages}
+
+
+@cache
+def _limits(name: str) -> dict[str, tuple[float, float, str]]:
+    """Return least and greatest value and unit of each signal of a message."""
+    signals = database().get_message_by_name(name).signals
+    return {each.name: (each.minimum, each.maximum, each.unit or "") for each in signals}
+
+
 def name_of(message: Message) -> str:
     """Return the name of a message in the DBC file."""
     return _NAMES[type(message)]
@@ -155,34 +167,39 @@ def encode(message: Message) -> tuple[int, bytes]:
     values = {signal: float(getattr(message, field)) for field, signal in FIELDS[name][1].items()}
     known = database().get_message_by_name(name)
     if name == "DeviceID1":
-        values["AutoPower"] = min(values["AutoPower"], known.get_signal_by_name("AutoPower").maximum)
+        values["AutoPower"] = min(values["AutoPower"], _limits(name)["AutoPower"][1])
     for signal, value in values.items():
-        _check_range(known, signal, value)
+        _check_range(name, signal, value)
     packed: bytes = known.encode({**values, **_CONSTANT.get(name, {})}, strict=False)
     return known.frame_id, packed
 
 
 def decode(can_id: int, data: bytes) -> Message:
     """Return the message of a frame. Raises CodecError, and nothing else, for whatever is none."""
-    known = {each.frame_id: each for each in database().messages}.get(can_id)
+    return _decoded(can_id, bytes(data))
+
+
+@lru_cache(maxsize=256)
+def _decoded(can_id: int, data: bytes) -> Message:
+    known = _by_identifier().get(can_id)
     if known is None:
         raise CodecError(Reason.UNKNOWN_ID, f"0x{can_id:X} is no message of the car")
     if len(data) != known.length:
         raise CodecError(Reason.LENGTH, f"{known.name} has {known.length} bytes, not {len(data)}")
-    if can_id == MASTER_ID and bytes(data[6:]) != MAGIC:
+    if can_id == MASTER_ID and data[6:] != MAGIC:
         return GiveBack()
-    values = known.decode(bytes(data), decode_choices=False)
+    values = known.decode(data, decode_choices=False)
     kind, fields = FIELDS[known.name]
     for signal in fields.values():
-        _check_range(known, signal, values[signal])
+        _check_range(known.name, signal, values[signal])
     made: dict[str, Any] = {field: values[signal] for field, signal in fields.items()}
     if kind is TakeOver:
         made |= {"mode": DriveMode(made["mode"]), "steering": SteeringMode(made["steering"])}
     return kind(**made)
 
 
-def _check_range(known: Any, signal: str, value: float) -> None:
-    limits = known.get_signal_by_name(signal)
-    if not limits.minimum <= value <= limits.maximum:
-        allowed = f"{limits.minimum:g} to {limits.maximum:g} {limits.unit or ''}".rstrip()
-        raise CodecError(Reason.RANGE, f"{known.name}.{signal} = {value:g}: expected {allowed}")
+def _check_range(name: str, signal: str, value: float) -> None:
+    least, most, unit = _limits(name)[signal]
+    if not least <= value <= most:
+        allowed = f"{least:g} to {most:g} {unit}".rstrip()
+        raise CodecError(Reason.RANGE, f"{name}.{signal} = {value:g}: expected {allowed}")

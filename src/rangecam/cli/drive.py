@@ -193,8 +193,10 @@ def _campaign(
     together = merge(*layers)
     with workers(jobs, scheduler) as executor:
         rows = run.run(folder, name, runs, seed, together, mapping(executor, partial(_watch, "drives")))
-    failures = [row["number"] for row in statistics.worst(rows, keep)]
-    paths = run.record_failures(folder, name, seed, together, failures, partial(_watch, "recordings"))
+        failures = [row["number"] for row in statistics.worst(rows, keep)]
+        nearby = executor if scheduler is None else None  # the workers of a scheduler may not see the folder
+        mapper = mapping(nearby, partial(_watch, "recordings"))
+        paths = run.record_failures(folder, name, seed, together, failures, mapper)
     files = [str(path.relative_to(folder)) for path in paths]
     with replacing(folder / run.REPORT) as part:
         part.write_bytes(page.html(name, rows, files))

@@ -1,8 +1,10 @@
 """The simulated continuous-wave camera: phase images of a moving scene, with noise, in the sensor's numbers."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numba import njit
 
 from rangecam.cw.light import collect
 from rangecam.cw.link import transfer
@@ -50,8 +52,7 @@ def simulate(view: Callable[[float], View], camera: CwCamera, time_s: float, rng
     seen = _seen_at(view, time_s) if camera.freeze_motion else view
     for exposure, middle_s in zip(exposures(camera), exposure_times_s(camera, time_s), strict=True):
         sample, light = respond(_expose(seen, exposure, middle_s), exposure.camera)
-        noise = rng.standard_normal(sample.shape, np.float32) * np.sqrt(sample_variance(light, camera))
-        planes[exposure.plane] = _read_out(sample + noise, camera)
+        planes[exposure.plane] = _read_out(sample, light, rng.standard_normal(sample.shape, np.float32), camera)
     planes = {name: transfer(planes[name], camera.link, rng) for name in plane_names(camera)}
     if camera.temperature.measured:
         first = next(iter(planes.values()))
@@ -87,31 +88,45 @@ def _expose(view: Callable[[float], View], exposure: Exposure, middle_s: float) 
     return scatter(light / np.float32(count), camera.scattering)
 
 
-def _read_out(samples: Floats, camera: CwCamera) -> Image:
-    """Return samples as the converter gives them: rounded to its step and kept within its limits, where it reads."""
+def _read_out(samples: Floats, light: Floats, deviates: Floats, camera: CwCamera) -> Image:
+    """Return samples as the converter gives them, each (H, W): noisy, rounded to its step and kept within its limits.
+
+    light: all that was collected for the sample, which makes its noise (`sample_variance`). deviates: standard normal.
+    Only what is read is more than the black level, and pseudo rows are zero.
+    """
     step, low, high = camera.quantisation_lsb, camera.lower_limit_lsb, camera.full_scale_lsb
-    if camera.region_of_interest is not None:
-        samples = _only_read(samples, camera.region_of_interest, camera.black_level_lsb)
-    if step > 0:
-        samples = np.round(samples / step) * step
-    if low is not None:
-        samples = np.maximum(samples, low)
-    if high is not None:
-        samples = np.minimum(samples, high)
-    samples[: camera.pseudo_rows] = 0
     whole = step >= 1 and step == int(step) and low is not None and low >= 0 and high is not None and high <= 65535
-    return samples.astype(np.uint16 if whole else np.float32)
+    result = np.empty(samples.shape, np.uint16 if whole else np.float32)
+    limits = -np.inf if low is None else low, np.inf if high is None else high
+    region = _region(camera, samples.shape[0], samples.shape[1])
+    numbers = np.array([step, *limits, camera.black_level_lsb], np.float32)
+    _convert(samples, sample_variance(light, camera), deviates, numbers, region, result)
+    result[: camera.pseudo_rows] = 0
+    return result
 
 
-def _only_read(samples: Floats, region: tuple[int, int, int, int], unread_lsb: float) -> Floats:
+@njit(cache=True, nogil=True)
+def _convert(samples: Any, variance: Any, deviates: Any, numbers: Any, region: Any, result: Any) -> Any:
+    """Fill what the converter gives."""
+    step, low, high, black = numbers
     row, column, rows, columns = region
-    height, width = samples.shape
+    zero, one = np.float32(0), np.float32(1)
+    for r in range(result.shape[0]):
+        inside = row <= r < row + rows
+        for c in range(result.shape[1]):
+            value = samples[r, c] + deviates[r, c] * np.sqrt(variance[r, c])
+            value = value if inside and column <= c < column + columns else black
+            value = np.rint(value / (step if step > zero else one)) * step if step > zero else value
+            result[r, c] = min(max(value, low), high)
+
+
+def _region(camera: CwCamera, height: int, width: int) -> tuple[int, int, int, int]:
+    """Return first row, first column, rows and columns that are read; raises UsageError if they leave the image."""
+    region = (0, 0, height, width) if camera.region_of_interest is None else camera.region_of_interest
+    row, column, rows, columns = region
     if row + rows > height or column + columns > width:
         raise UsageError(
             f"camera.region_of_interest = {list(region)}: first row and column, rows and columns must lie within the "
             f"image of {height} rows and {width} columns"
         )
-    inside = (slice(row, row + rows), slice(column, column + columns))
-    result = np.full_like(samples, unread_lsb)
-    result[inside] = samples[inside]
-    return result
+    return region

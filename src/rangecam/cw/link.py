@@ -19,11 +19,13 @@ def _with_bit_errors(plane: Image, link: Link, rng: np.random.Generator) -> Imag
     """Turn over bits of the nearest whole number; what a sample without rounding has beyond that stays."""
     count = rng.binomial(link.bits * plane.size, link.bit_error_probability)
     places = rng.choice(link.bits * plane.size, count, replace=False, shuffle=False)
-    turned = np.zeros(plane.size, np.int64)
-    np.bitwise_xor.at(turned, places // link.bits, 1 << (places % link.bits))
-    sent = np.clip(np.round(plane), 0, 2**link.bits - 1).astype(np.int64)
-    arrived = sent ^ turned.reshape(plane.shape)
-    result: Image = (plane + (arrived - sent)).astype(plane.dtype)
+    pixels, which = np.unique(places // link.bits, return_inverse=True)
+    turned = np.zeros(len(pixels), np.int64)
+    np.bitwise_xor.at(turned, which, 1 << (places % link.bits))
+    result = plane.copy()
+    before = result.reshape(-1)[pixels]
+    sent = np.clip(np.round(before), 0, 2**link.bits - 1).astype(np.int64)
+    result.reshape(-1)[pixels] = (before + ((sent ^ turned) - sent)).astype(plane.dtype)
     return result
 
 

@@ -3,8 +3,10 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numba import njit
 
 from rangecam.cw.effects import FixedPattern
 from rangecam.cw.settings import CwCamera
@@ -19,28 +21,40 @@ def respond(light: Floats, camera: CwCamera) -> tuple[Floats, Floats]:
     tap saturates at its full well (S-EFF-02, S-EFF-03). Gain and offset of the pixel come last.
     """
     signal, total = light
-    sample = signal + total if camera.pixel == "single_ended" else signal
-    collected = signal + total if camera.pixel == "single_ended" else total
-    if camera.taps.full_well_lsb is not None:
-        sample = _saturate(sample, total, camera)
+    single, taps = camera.pixel == "single_ended", camera.taps
     pattern = fixed_pattern(camera, (signal.shape[0], signal.shape[1]))
-    return sample * pattern.gain + (pattern.offset_lsb + np.float32(camera.black_level_lsb)), collected
+    sample = np.empty_like(signal)
+    collected = np.empty_like(signal) if single else total
+    _respond(
+        (signal.ravel(), total.ravel()),
+        (pattern.gain.ravel(), pattern.offset_lsb.ravel(), np.float32(camera.black_level_lsb)),
+        np.float32(np.inf if taps.full_well_lsb is None else taps.full_well_lsb),
+        np.float32(taps.ambient_suppression_lsb),
+        taps.saturated_reads_full_scale and camera.full_scale_lsb is not None,
+        (sample.ravel(), collected.ravel()) if single else (sample.ravel(), sample[:0].ravel()),
+    )
+    return sample, collected
 
 
-def _saturate(sample: Floats, total: Floats, camera: CwCamera) -> Floats:
-    """Return the samples (without black level) that full wells leave; infinite where they read full scale."""
-    full = np.float32(camera.taps.full_well_lsb)
-    if camera.pixel == "single_ended":
-        saturated, limited = sample > full, np.minimum(sample, full)
-    else:
-        first, second = (total + sample) / 2, (total - sample) / 2
-        suppressed = np.minimum(np.minimum(first, second), np.float32(camera.taps.ambient_suppression_lsb))
-        first, second = first - suppressed, second - suppressed
-        saturated = np.maximum(first, second) > full
-        limited = np.minimum(first, full) - np.minimum(second, full)
-    if camera.taps.saturated_reads_full_scale and camera.full_scale_lsb is not None:
-        return np.where(saturated, np.float32(np.inf), limited)
-    return limited
+@njit(cache=True, nogil=True)
+def _respond(light: Any, pattern: Any, full: Any, suppression: Any, flagged: Any, result: Any) -> Any:
+    """Fill the samples and, of a single-ended pixel, all the light; infinite where a full well reads full scale."""
+    (signal, total), (gain, offset_lsb, black_lsb), (sample, collected) = light, pattern, result
+    single, two, infinite = len(collected) > 0, np.float32(2), np.float32(np.inf)
+    for i in range(len(sample)):
+        value = signal[i] + total[i] if single else signal[i]
+        if single:
+            collected[i] = value
+        if full < infinite:
+            first = value if single else (total[i] + value) / two
+            second = np.float32(0) if single else (total[i] - value) / two
+            if not single:
+                suppressed = min(min(first, second), suppression)
+                first, second = first - suppressed, second - suppressed
+            value = min(first, full) - min(second, full)
+            if flagged and max(first, second) > full:
+                value = infinite
+        sample[i] = value * gain[i] + (offset_lsb[i] + black_lsb)
 
 
 @dataclass(frozen=True, eq=False)

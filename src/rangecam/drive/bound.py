@@ -117,7 +117,7 @@ def _shows(scenario: Scenario, config: Config, free: Roll, number: int, seed: in
     if not _enough(seen.range_m[target], config):
         return False
     bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-    looks = look(scenario, config, bundle, time_s, np.random.default_rng([seed, number, 3]), free.own)
+    looks = look(scenario, config, bundle, time_s, (seed, number, 3), free.own)
     raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, number, 2]))
     image = clean(ranged(RANGING[config.ranging], raw, camera), camera.lens, config.mounting, config.clean, None)
     right = target & image.valid & (np.abs(image.range_m - seen.range_m) < _GROSS_M + 3 * image.sigma_m)

@@ -1,14 +1,17 @@
 """How near the vehicle is to things: distances on the ground between its outline and theirs, exact."""
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from rangecam.scene.paths import Pose, motion
 from rangecam.scene.placed import BOX, CYLINDER, ROD, placed
 from rangecam.scene.scenario import Scenario
+from rangecam.scene.shapes import SceneObject
 from rangecam.vehicle.settings import Vehicle
 
 
@@ -31,14 +34,19 @@ def nearest(scenario: Scenario, time_s: float, pose: Pose, vehicle: Vehicle, har
     """
     shapes, _ = placed(scenario.objects, time_s, pose, _ORIGIN, None)
     if harmless:
-        counts = [not thing.name.startswith(harmless) for thing in scenario.objects]
-        shapes = shapes[np.array(counts, bool)[shapes[:, 10].astype(int) - 1]]
+        shapes = shapes[_counts(scenario.objects, harmless)[shapes[:, 10].astype(int) - 1]]
     if not len(shapes):
         return Nearest(math.inf, 0)
     rear_m = vehicle.front_m - vehicle.length_m
     outline = (rear_m, vehicle.front_m, vehicle.width_m / 2, vehicle.clearance_m, vehicle.height_m)
     gap_m, number = _nearest(shapes, outline)
     return Nearest(gap_m, int(number))
+
+
+@lru_cache(maxsize=64)
+def _counts(objects: tuple[SceneObject, ...], harmless: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Return of each object whether driving into it counts."""
+    return np.array([not thing.name.startswith(harmless) for thing in objects], bool)
 
 
 def impact_speed(scenario: Scenario, time_s: float, pose: Pose, number: int) -> float:

@@ -2,7 +2,6 @@
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from rangecam.scene.paths import OwnMotion
 from rangecam.scene.render import ray_bundle
 from rangecam.scene.scenario import Scenario
 from rangecam.types import Capture
+from rangecam.values import changed
 
 
 def sequence_s(camera: Camera) -> float:
@@ -63,6 +63,6 @@ class Eye:
             return frame(scenario, config, number, time_s, self._seed, self._own)
         camera, shape = config.camera, (config.camera.rows, config.camera.columns)
         bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-        looks = look(scenario, config, bundle, time_s, np.random.default_rng([self._seed, number, 1]), self._own)
+        looks = look(scenario, config, bundle, time_s, (self._seed, number, 1), self._own)
         raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([self._seed, number]))
-        return Capture(replace(raw, frame_id=number))
+        return Capture(changed(raw, frame_id=number))

@@ -44,13 +44,14 @@ def between(poses: list[Pose], start_s: float, step_s: float) -> Callable[[float
 
 @lru_cache(maxsize=64)
 def _course(ego: EgoMotion, duration_s: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return times, speeds, ways and curvatures of a scenario's own motion every 20 ms."""
+    """Return times, speeds, ways and curvatures of a scenario's own motion every 20 ms; no curvatures if straight."""
     times = np.arange(0.0, duration_s + 0.02, 0.02)
     poses = [ego_pose(ego, float(t)) for t in times]
     speeds = np.array([pose.speed_mps for pose in poses])
     ways = np.concatenate([[0.0], np.cumsum((speeds[1:] + speeds[:-1]) / 2 * 0.02)])
     yaw = np.array([pose.yaw_rate_radps for pose in poses])
-    return times, speeds, ways, np.divide(yaw, speeds, out=np.zeros_like(yaw), where=np.abs(speeds) > 1e-6)
+    curvatures = np.divide(yaw, speeds, out=np.zeros_like(yaw), where=np.abs(speeds) > 1e-6)
+    return times, speeds, ways, curvatures if curvatures.any() else curvatures[:0]
 
 
 def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Vehicle, lets_go: bool) -> Hand:
@@ -59,7 +60,7 @@ def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Veh
     lets_go: the driver leaves throttle and brake alone, and steers.
     """
     times, speeds, ways, curvatures = _course(scenario.ego, scenario.duration_s)
-    curvature = float(np.interp(state.motion[WAY], ways, curvatures)) if curvatures.any() else 0.0
+    curvature = float(np.interp(state.motion[WAY], ways, curvatures)) if len(curvatures) else 0.0
     steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
     if lets_go:
         return Hand(0.0, steer, True)

@@ -138,7 +138,8 @@ class _Log:
         status: list[CanFrame],
     ) -> None:
         """Take in what was sent in a step, and how the brakes come on."""
-        self._bus.update(frame.can_id for frame in (*sent, *status))
+        for frame in (*sent, *status):
+            self._bus[frame.can_id] += 1
         takes = any(frame.can_id == MASTER_ID and frame.data[-2:] == MAGIC for frame in sent)
         self._take_overs += takes
         if takes and not math.isfinite(self.braked_s):

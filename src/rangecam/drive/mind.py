@@ -16,6 +16,7 @@ from rangecam.drive.eye import sequence_s
 from rangecam.drive.settings import DriveSettings
 from rangecam.pipeline import Sink, process_frame
 from rangecam.types import Capture, Ego, Frame, RangeImage, Tracks
+from rangecam.values import changed
 from rangecam.vehicle.sensors import gain_of_wheels, step_of_sensor
 
 
@@ -85,7 +86,7 @@ class Mind:
 
     def see(self, capture: Capture, received_s: float) -> None:
         """Process a frame that has arrived; its result is there after the latency of the processors."""
-        capture = replace(capture, ego=self._ego)
+        capture = changed(capture, ego=self._ego)
         frame = process_frame(capture.raw, self._tracks, capture.ego, self._config, before=self._image)
         self._tracks, self._image = frame.tracks, frame.image
         for sink in self._sinks:
@@ -104,14 +105,14 @@ class Mind:
         if isinstance(message, RemoteValues):
             self._steer, self._forward = message.steering, message.direction >= 0
         elif isinstance(message, CarStatus1):
-            self._inputs = replace(self._inputs, car=CarState(message.speed_mps, time_s, self._forward))
+            self._inputs = changed(self._inputs, car=CarState(message.speed_mps, time_s, self._forward))
 
     def think(self, time_s: float) -> list[CanFrame]:
         """Return what is to be sent now."""
-        self._inputs = replace(self._inputs, time_s=time_s)
+        self._inputs = changed(self._inputs, time_s=time_s)
         while self._waiting and self._waiting[0][0] <= time_s:
             _, _, found, self.frame = heapq.heappop(self._waiting)
-            self._inputs = replace(self._inputs, perception=found)
+            self._inputs = changed(self._inputs, perception=found)
         self.unit, _, frame = step(self.unit, self._inputs, self._brake)
         self._ego = self._measured(time_s)
         return [] if frame is None else [frame]

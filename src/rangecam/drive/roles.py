@@ -127,8 +127,8 @@ def _image(job: Job, bundle: RayBundle, number: int, middle_s: float, at: tuple[
     def own(scene_s: float) -> Pose:
         return _moved_on(*at, scene_s + offset_s)
 
-    scene_s, seeds = job.scene_s(middle_s), [job.seed, number]
-    looks = look(job.scenario, job.config, bundle, scene_s, np.random.default_rng([*seeds, 1]), own)
+    scene_s, seeds = job.scene_s(middle_s), (job.seed, number)
+    looks = look(job.scenario, job.config, bundle, scene_s, (*seeds, 1), own)
     raw = SIMULATE[job.config.camera.kind](looks, job.config.camera, scene_s, np.random.default_rng(seeds))
     return Capture(replace(raw, time_s=middle_s, frame_id=number))
 

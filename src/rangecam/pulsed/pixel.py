@@ -111,23 +111,30 @@ def read_out(
     read-out adds its own. The noise of a value is `noise_variance`. A pixel that laser and background fill in one
     exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
     """
-    steps = np.array(sorted(pixel.accumulations), np.float64)
+    steps, damped, numbers = _of_read_outs(pixel)
     shape = (averages, len(steps), *ambient_v.shape)
     flat = (*shape[:3], -1)
     values_v = np.empty(shape)
-    sensor_v, readout_v = remaining_v(pixel)
-    per_photon = float(photon_noise(1.0, pixel)) ** 2
     _read_out(
         np.broadcast_to(single_v, shape).reshape(flat),
         ambient_v.reshape(len(ambient_v), -1),
         offset_v.reshape(len(steps), len(ambient_v), -1),
         rng.standard_normal((2, *shape), np.float32).reshape(2, *flat),
         steps,
-        damping(steps, pixel),
-        np.array([sensor_v**2, readout_v, per_photon, pixel.saturation_v]),
+        damped,
+        numbers,
         values_v.reshape(flat),
     )
     return convert(values_v, pixel)
+
+
+@lru_cache(maxsize=16)
+def _of_read_outs(pixel: Pixel) -> tuple[Floats, Floats, Floats]:
+    """Return what `_read_out` is told of a pixel: numbers of accumulations, damping after each, sizes of noise."""
+    steps = np.array(sorted(pixel.accumulations), np.float64)
+    sensor_v, readout_v = remaining_v(pixel)
+    per_photon = float(photon_noise(1.0, pixel)) ** 2
+    return steps, damping(steps, pixel), np.array([sensor_v**2, readout_v, per_photon, pixel.saturation_v])
 
 
 @njit(cache=True, nogil=True)

@@ -2,6 +2,7 @@
 
 import cmath
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
@@ -70,22 +71,51 @@ def motion(path: Path, time_s: float) -> Motion:
     line at constant velocity or acceleration where the way-points agree with that. Raises UsageError for a path that
     is told both ways or whose times do not rise.
     """
-    times, positions, velocities = _knots(path)
-    k = int(np.searchsorted(times, time_s, side="right")) - 1
-    if k < 0 or k == len(times) - 1:
-        k = max(k, 0)
-        return Motion(positions[k] + velocities[k] * (time_s - times[k]), velocities[k], np.zeros(3))
-    length = times[k + 1] - times[k]
-    t = time_s - times[k]
-    mean = (positions[k + 1] - positions[k]) / length
-    # p + v t + a t^2 + b t^3 that meets place and velocity at both ends
-    a = (3 * mean - 2 * velocities[k] - velocities[k + 1]) / length
-    b = (velocities[k] + velocities[k + 1] - 2 * mean) / length**2
-    return Motion(
-        positions[k] + t * (velocities[k] + t * (a + t * b)),
-        velocities[k] + t * (2 * a + t * 3 * b),
-        2 * a + t * 6 * b,
+    t, axes = _piece(path, time_s)
+    position_m, velocity_mps = place_and_velocity(path, time_s)
+    return Motion(np.array(position_m), np.array(velocity_mps), np.array([2 * a + t * 6 * b for _, _, a, b in axes]))
+
+
+def place_and_velocity(path: Path, time_s: float) -> tuple[Vector, Vector]:
+    """Return position m and velocity m/s at `time_s`, as `motion` does, as plain numbers for what asks often."""
+    t, ((x, vx, ax, bx), (y, vy, ay, by), (z, vz, az, bz)) = _piece(path, time_s)
+    return (
+        (x + t * (vx + t * (ax + t * bx)), y + t * (vy + t * (ay + t * by)), z + t * (vz + t * (az + t * bz))),
+        (vx + t * (2 * ax + t * 3 * bx), vy + t * (2 * ay + t * 3 * by), vz + t * (2 * az + t * 3 * bz)),
     )
+
+
+Cubic = tuple[float, float, float, float]
+"""p, v, a, b of p + v t + a t^2 + b t^3."""
+
+
+def _piece(path: Path, time_s: float) -> tuple[float, tuple[Cubic, Cubic, Cubic]]:
+    """Return the time since a piece of the path began, and its cubic along each axis."""
+    times, pieces = _pieces(path)
+    k = bisect_right(times, time_s)
+    return time_s - times[max(k - 1, 0)], pieces[k]
+
+
+@lru_cache(maxsize=256)
+def _pieces(path: Path) -> tuple[list[float], list[tuple[Cubic, Cubic, Cubic]]]:
+    """Return the times of the way-points, and the cubics before the first, between each two, and after the last."""
+    times, positions, velocities = _knots(path)
+    ends = [np.stack([positions[k], velocities[k], np.zeros(3), np.zeros(3)]) for k in (0, -1)]
+    between = []
+    for k, length in enumerate(np.diff(times)):
+        mean = (positions[k + 1] - positions[k]) / length
+        # meets place and velocity at both ends
+        a = (3 * mean - 2 * velocities[k] - velocities[k + 1]) / length
+        b = (velocities[k] + velocities[k + 1] - 2 * mean) / length**2
+        between.append(np.stack([positions[k], velocities[k], a, b]))
+    rows = [[tuple(axis) for axis in piece.T.tolist()] for piece in (ends[0], *between, ends[1])]
+    return times.tolist(), [(x, y, z) for x, y, z in rows]
+
+
+def stands(path: Path) -> bool:
+    """Return whether something on `path` stays where it is for ever."""
+    times, _, velocities = _knots(path)
+    return len(times) == 1 and not velocities.any()
 
 
 @lru_cache(maxsize=256)
@@ -135,8 +165,8 @@ def _ways(path: Path) -> tuple[Floats, Floats]:
 def _way_m(path: Path, from_s: float, to_s: float) -> float:
     half = (to_s - from_s) / 2
     if half == 0 or len(_knots(path)[0]) == 1:
-        return 2 * half * math.hypot(*motion(path, to_s).velocity_mps)
-    speeds = [math.hypot(*motion(path, from_s + half * (1 + node)).velocity_mps) for node in _NODES]
+        return 2 * half * math.hypot(*place_and_velocity(path, to_s)[1])
+    speeds = [math.hypot(*place_and_velocity(path, from_s + half * (1 + node))[1]) for node in _NODES.tolist()]
     return half * float(_WEIGHTS @ speeds)
 
 
@@ -145,7 +175,7 @@ def direction_rad(path: Path, time_s: float) -> float:
 
     Before it first moves it is that of the first motion, and 0 if it never moves.
     """
-    x, y, _ = motion(path, time_s).velocity_mps
+    x, y, _ = place_and_velocity(path, time_s)[1]
     if math.hypot(x, y) > _STANDS_MPS:
         return math.atan2(y, x)
     times, _, _ = _knots(path)
@@ -153,7 +183,7 @@ def direction_rad(path: Path, time_s: float) -> float:
     before = [t for t in np.column_stack([times[:-1] + short, times[1:] - short]).ravel() if t <= time_s]
     after = [t for t in np.column_stack([times[:-1] + short, times[1:] - short]).ravel() if t > time_s]
     for moment in (*before[::-1], *after, times[-1] + 1):
-        x, y, _ = motion(path, float(moment)).velocity_mps
+        x, y, _ = place_and_velocity(path, float(moment))[1]
         if math.hypot(x, y) > _STANDS_MPS:
             return math.atan2(y, x)
     return 0.0

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from rangecam.scene.bodies import BODIES, shapes_of
-from rangecam.scene.paths import Pose, direction_rad, motion, travelled_m
+from rangecam.scene.paths import Pose, direction_rad, place_and_velocity, stands, travelled_m
 from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject, Swing
 from rangecam.types import Floats, Ints
 
@@ -31,26 +31,39 @@ def placed(
     shapes has a ball of radius zero and no shapes.
     """
     template, starts = _templates(objects, ground_reflectivity)
-    now = [_now(thing, time_s) for thing in objects]
+    still, moving = _still(objects, ground_reflectivity is not None)
+    now = still.copy()
+    for i in moving:
+        now[i] = _now(objects[i], time_s)
     if ground_reflectivity is not None:
-        now.append((own.x_m, own.y_m, 0.0, own.heading_rad, 0.0, 0.0))
+        now[-1] = own.x_m, own.y_m, 0.0, own.heading_rad, 0.0, 0.0
     shapes, balls = np.empty((len(template), 12)), np.empty((len(starts) - 1, 6))
     turned = np.array([own.x_m, own.y_m, own.heading_rad])
-    _place(template, starts, np.array(now, float).reshape(-1, 6), turned, origin_m, shapes, balls)
+    _place(template, starts, now, turned, origin_m, shapes, balls)
     return shapes, balls
+
+
+@lru_cache(maxsize=64)
+def _still(objects: tuple[SceneObject, ...], with_ground: bool) -> tuple[Floats, tuple[int, ...]]:
+    """Return what `_now` says of objects that stay where they are (N or N + 1, 6), and the numbers of the others."""
+    rows = np.zeros((len(objects) + with_ground, 6))
+    moving = tuple(i for i, thing in enumerate(objects) if not stands(thing.path))
+    for i in set(range(len(objects))) - set(moving):
+        rows[i] = _now(objects[i], 0.0)
+    return rows, moving
 
 
 def _now(thing: SceneObject, time_s: float) -> tuple[float, float, float, float, float, float]:
     """Return x, y, z, heading, phase of the stride and how far it swings, 0..1."""
-    here, heading = motion(thing.path, time_s), math.radians(thing.heading_deg)
-    x, y, z = here.position_m.tolist()
+    (x, y, z), velocity_mps = place_and_velocity(thing.path, time_s)
+    heading = math.radians(thing.heading_deg)
     if thing.follow_path:
         heading += direction_rad(thing.path, time_s)
     if not _swings(thing):
         return x, y, z, heading, 0.0, 0.0
     body = BODIES[thing.body]
     phase = 2 * math.pi * travelled_m(thing.path, time_s) / (body.stride_m * thing.scale)
-    speed, full = math.hypot(*here.velocity_mps.tolist()), body.full_speed_mps
+    speed, full = math.hypot(*velocity_mps), body.full_speed_mps
     return x, y, z, heading, phase, min(speed / full, 1.0) if full else 1.0
 
 

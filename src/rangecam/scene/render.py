@@ -17,22 +17,24 @@ from rangecam.types import Ego, Floats, Ints, Truth
 
 __all__ = ["GROUND", "RayBundle", "ego_at", "ego_of", "own_pose", "ray_bundle", "render", "truth"]
 
-_RUN = 32
+_RUN = 256
 
 
 @dataclass(frozen=True, eq=False)
 class RayBundle:
-    """Rays of a camera in vehicle axes, those of neighbouring pixels together.
+    """Rays of a camera in vehicle axes, those of neighbouring pixels together: in runs of up to 256.
 
     origin_m (3,): where they start. directions (3, R) float32: unit vectors, component by component.
-    cones (C, 5): axis and cosine and sine of the half angle of the cone around each run of 32 rays.
     place (R,) int32: where the result of each ray belongs, in an image of shape (K, H, W).
+    cones (C, 5): axis and cosine and sine of the half angle of the cone around each run.
+    runs (C, 3) int32: first and last + 1 of its rays, and how many of them at a time are neighbours in a row.
     """
 
     origin_m: Floats
     directions: Floats
-    cones: Floats
     place: Ints
+    cones: Floats
+    runs: Ints
     shape: tuple[int, int, int]
 
 
@@ -42,33 +44,38 @@ def ray_bundle(lens: Lens, mounting: Mounting, shape: tuple[int, int], subpixels
     (height, width), n = shape, subpixels
     fine = rays(lens, (height * n, width * n)) @ rotation(mounting).T
     directions = fine.reshape(height, n, width, n, 3).transpose(4, 1, 3, 0, 2).reshape(3, -1)
-    place = _tile_by_tile(shape, n)
+    place, runs = _tile_by_tile(shape, n)
     directions = directions[:, place] / np.linalg.norm(directions[:, place], axis=0)
-    starts = np.arange(0, directions.shape[1], _RUN)
+    starts = runs[:, 0]
     axes = np.add.reduceat(directions, starts, axis=1)
     axes /= np.linalg.norm(axes, axis=0)
-    cos_half = np.minimum.reduceat(
-        np.einsum("ij,ij->j", directions, np.repeat(axes, _RUN, axis=1)[:, : directions.shape[1]]), starts
-    )
-    cos_half = np.clip(cos_half - 1e-6, -1, 1)
+    from_axis = np.einsum("ij,ij->j", directions, np.repeat(axes, runs[:, 1] - starts, axis=1))
+    cos_half = np.clip(np.minimum.reduceat(from_axis, starts) - 1e-6, -1, 1)
     cones = np.concatenate([axes, cos_half[None], np.sqrt(1 - cos_half**2)[None]]).T
     return RayBundle(
         position(mounting),
         np.ascontiguousarray(directions, np.float32),
-        np.ascontiguousarray(cones),
         place.astype(np.int32),
+        np.ascontiguousarray(cones),
+        runs.astype(np.int32),
         (n * n, *shape),
     )
 
 
-def _tile_by_tile(shape: tuple[int, int], subpixels: int) -> Ints:
-    """Return the order of the rays (K, H, W) in which each 32 of them look in nearly the same direction."""
+def _tile_by_tile(shape: tuple[int, int], subpixels: int) -> tuple[Ints, Ints]:
+    """Return the order of the rays (K, H, W), tile by tile of the image, and the runs of a `RayBundle`.
+
+    The rays of a tile look in nearly the same direction; those of a row of it are neighbours in the image as well.
+    """
     k, row, column = (index.ravel() for index in np.indices((subpixels**2, *shape)))
     pixels = max(_RUN // subpixels**2, 1)
     across = 2 ** math.ceil(math.log2(pixels) / 2)
     down = max(pixels // across, 1)
-    order: Ints = np.lexsort((k, column, row, column // across, row // down))
-    return order
+    order: Ints = np.lexsort((column, row, k, column // across, row // down))
+    tile = (row // down * shape[1] + column // across)[order]
+    starts = np.flatnonzero(np.diff(tile, prepend=-1))
+    in_row = np.minimum(across, shape[1] - column[order[starts]])
+    return order, np.stack([starts, [*starts[1:], len(order)], in_row], axis=1)
 
 
 def own_pose(scenario: Scenario, time_s: float, own: OwnMotion | None = None) -> Pose:
@@ -78,7 +85,7 @@ def own_pose(scenario: Scenario, time_s: float, own: OwnMotion | None = None) ->
 
 def render(scenario: Scenario, time_s: float, bundle: RayBundle, own: OwnMotion | None = None) -> View:
     """Return what the rays meet at `time_s`, in vehicle axes of the driving vehicle (arrays float32)."""
-    range_m, reflectivity, cos_incidence, _ = _cast_rays(scenario, time_s, bundle, own)
+    range_m, reflectivity, cos_incidence, _ = _cast_rays(scenario, time_s, bundle, own, False)
     ambient_wpm2 = scenario.ambient_wpm2 + AMBIENT_WPM2[scenario.ambient_light]
     return View(range_m, reflectivity, cos_incidence, ambient_wpm2)
 
@@ -99,7 +106,7 @@ def truth(
     G that moves with V over ground has p = R(-h) (G - P) and u = R(-h) V - (v, 0, 0). Its coordinates change by dp/dt =
     u - (0, 0, w) x p: where we turn, what stands still goes across the image without a velocity of its own.
     """
-    range_m, reflectivity, _, object_id = _cast_rays(scenario, time_s, ray_bundle(lens, mounting, shape), own)
+    range_m, reflectivity, _, object_id = _cast_rays(scenario, time_s, ray_bundle(lens, mounting, shape), own, True)
     pose = own_pose(scenario, time_s, own)
     motions = [motion(thing.path, time_s) for thing in scenario.objects]
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
@@ -133,23 +140,24 @@ def ego_of(pose: Pose, time_s: float) -> Ego:
 
 
 def _cast_rays(
-    scenario: Scenario, time_s: float, bundle: RayBundle, own: OwnMotion | None
+    scenario: Scenario, time_s: float, bundle: RayBundle, own: OwnMotion | None, numbered: bool
 ) -> tuple[Floats, Floats, Floats, Ints]:
-    """Return range, reflectivity, cosine of incidence and object number of every ray, each (K, H, W)."""
+    """Return range, reflectivity, cosine of incidence and, if `numbered`, object of every ray, each (K, H, W)."""
     pose = own_pose(scenario, time_s, own)
     shapes, balls = placed(scenario.objects, time_s, pose, bundle.origin_m, scenario.ground_reflectivity)
     range_m, reflectivity, cos_incidence = (np.empty(bundle.shape, np.float32) for _ in range(3))
-    object_id = np.empty(bundle.shape, np.int32)
-    given = bundle.directions, bundle.cones, bundle.place, shapes, balls
-    _cast(*given, range_m.ravel(), reflectivity.ravel(), cos_incidence.ravel(), object_id.ravel())
+    object_id = np.empty(bundle.shape if numbered else 0, np.int32)
+    seen = range_m.ravel(), reflectivity.ravel(), cos_incidence.ravel(), object_id.ravel()
+    _cast(bundle.directions, bundle.place, bundle.cones, bundle.runs, shapes, balls, *seen)
     return range_m, reflectivity, cos_incidence, object_id
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast(
     directions: Any,
-    cones: Any,
     place: Any,
+    cones: Any,
+    runs: Any,
     shapes: Any,
     balls: Any,
     range_m: Any,
@@ -158,61 +166,89 @@ def _cast(
     object_id: Any,
 ) -> Any:
     """Keep the nearest hit of each ray; a run of rays skips objects and shapes whose ball its cone does not touch."""
-    x, y, z = directions[0], directions[1], directions[2]
-    nearest, rho = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
-    cosine, number = np.empty(_RUN, np.float32), np.empty(_RUN, np.int32)
-    for run in range(cones.shape[0]):
-        first, last = run * _RUN, min((run + 1) * _RUN, place.size)
-        ray = (x[first:last], y[first:last], z[first:last])
-        hit = (nearest[: last - first], rho[: last - first], cosine[: last - first], number[: last - first])
-        hit[0][:], hit[1][:], hit[2][:], hit[3][:] = np.inf, 0, 0, 0
+    of_objects, of_shapes = _seen_from_origin(balls, 0, 3), _seen_from_origin(shapes, 1, 11)
+    rho, number = np.zeros(len(shapes) + 1, np.float32), np.zeros(len(shapes) + 1, np.int32)
+    rho[1:], number[1:] = shapes[:, 9], shapes[:, 10]
+    nearest, cosine, shape = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.int32)
+    for run in range(len(runs)):
+        cone, first, last, in_row = cones[run], runs[run, 0], runs[run, 1], runs[run, 2]
+        ray = (directions[0, first:last], directions[1, first:last], directions[2, first:last])
+        hit = (nearest[: last - first], cosine[: last - first], shape[: last - first])
+        hit[0][:], hit[1][:], hit[2][:] = np.inf, 0, 0
         for i in range(len(balls)):
-            if balls[i, 5] == balls[i, 4] or not _may_touch(cones[run], balls[i], balls[i, 3], 0):
+            begin, end = int(balls[i, 4]), int(balls[i, 5])
+            if begin == end or not _may_touch(cone, of_objects, i):
                 continue
-            for k in range(int(balls[i, 4]), int(balls[i, 5])):
-                if _may_touch(cones[run], shapes[k], shapes[k, 11], 1):
-                    _cast_shape(ray, shapes[k], hit)
-        for i in range(last - first):
-            to = place[first + i]
-            range_m[to], reflectivity[to], cos_incidence[to], object_id[to] = nearest[i], rho[i], cosine[i], number[i]
+            for k in range(begin, end):
+                if end == begin + 1 or _may_touch(cone, of_shapes, k):
+                    _cast_shape(ray, cone, shapes[k], k + 1, hit)
+        for start in range(0, last - first, in_row):
+            to = place[first + start]
+            _keep(hit, start, rho, range_m[to : to + in_row], reflectivity[to : to + in_row], cos_incidence[to:])
+            if object_id.size:
+                for i in range(in_row):
+                    object_id[to + i] = number[shape[start + i]]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _may_touch(cone: Any, centre: Any, radius2: Any, at: Any) -> Any:
-    """Return whether the cone of rays from the origin can touch the ball around centre[at : at + 3]."""
-    x, y, z = centre[at], centre[at + 1], centre[at + 2]
-    distance2 = x * x + y * y + z * z
-    if distance2 <= radius2 or cone[3] <= 0:
+def _keep(hit: Any, start: Any, rho: Any, range_m: Any, reflectivity: Any, cos_incidence: Any) -> Any:
+    """Fill part of a row of the image with the hits from `start` on."""
+    nearest, cosine, shape = hit[0][start:], hit[1][start:], hit[2][start:]
+    for i in range(range_m.size):
+        range_m[i], cos_incidence[i], reflectivity[i] = nearest[i], cosine[i], rho[shape[i]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen_from_origin(table: Any, at: Any, of_radius2: Any) -> Any:
+    """Return how balls are seen (N, 5): direction of the centre, cosine and sine of half the angle that they fill.
+
+    table (N, ..): the centre from column `at` on, the squared radius. Around the origin it is all directions.
+    """
+    seen = np.zeros((len(table), 5))
+    for i in range(len(table)):
+        x, y, z, radius2 = table[i, at], table[i, at + 1], table[i, at + 2], table[i, of_radius2]
+        distance2 = x * x + y * y + z * z
+        if distance2 <= radius2:
+            seen[i, 3] = -1.0
+            continue
+        away, sin2 = math.sqrt(distance2), radius2 / distance2
+        seen[i, 0], seen[i, 1], seen[i, 2] = x / away, y / away, z / away
+        seen[i, 3], seen[i, 4] = math.sqrt(1 - sin2), math.sqrt(sin2)
+    return seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _may_touch(cone: Any, seen: Any, i: Any) -> Any:
+    """Return whether a cone of rays from the origin can touch ball i: half its angle and that of the ball together."""
+    if cone[3] <= 0:
         return True
-    sin2 = radius2 / distance2
-    cos_seen, sin_seen = math.sqrt(1 - sin2), math.sqrt(sin2)
-    cos_limit = cos_seen * cone[3] - sin_seen * cone[4]  # cosine of half angle of the cone plus that of the ball
-    return cone[0] * x + cone[1] * y + cone[2] * z >= cos_limit * math.sqrt(distance2)
+    cos_limit = seen[i, 3] * cone[3] - seen[i, 4] * cone[4]  # cosine of the sum
+    return cone[0] * seen[i, 0] + cone[1] * seen[i, 1] + cone[2] * seen[i, 2] >= cos_limit - 1e-12
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_shape(ray: Any, shape: Any, hit: Any) -> Any:
+def _cast_shape(ray: Any, cone: Any, shape: Any, number: Any, hit: Any) -> Any:
     if shape[0] == ROD:
-        _cast_rod(ray, shape, hit[0], hit[1], hit[2], hit[3])
+        _cast_rod(ray, shape, number, hit[0], hit[1], hit[2])
     elif shape[0] == CYLINDER:
-        _cast_cylinder(ray, shape, hit[0], hit[1], hit[2], hit[3])
-    elif shape[0] == PLANE:
-        _cast_plane(ray, shape, hit[0], hit[1], hit[2], hit[3])
-    else:
-        _cast_box(ray, shape, hit[0], hit[1], hit[2], hit[3])
+        _cast_cylinder(ray, shape, number, hit[0], hit[1], hit[2])
+    elif shape[0] != PLANE:
+        _cast_box(ray, shape, number, hit[0], hit[1], hit[2])
+    elif cone[2] < cone[4] or cone[3] <= 0:  # else all of its rays go up
+        _cast_plane(ray, shape, number, hit[0], hit[1], hit[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_box(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
+def _cast_box(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
     """A ray is inside a box while it is between all three pairs of faces; the last one entered is the face it hits."""
     c, s = np.float32(shape[4]), np.float32(shape[5])
     ox = np.float32(-(shape[4] * shape[1] + shape[5] * shape[2]))
     oy = np.float32(-(shape[4] * shape[2] - shape[5] * shape[1]))
     oz = np.float32(-shape[3])
     hx, hy, hz = np.float32(shape[6]), np.float32(shape[7]), np.float32(shape[8])
-    rho, number = np.float32(shape[9]), np.int32(shape[10])
+    number = np.int32(number)
     for i in range(range_m.size):
-        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
         east, north, up = ray[0][i], ray[1][i], ray[2][i]
         dx, dy, dz = _not_zero(c * east + s * north), _not_zero(c * north - s * east), _not_zero(up)
         in_x, out_x = _between(ox, dx, hx)
@@ -226,20 +262,18 @@ def _cast_box(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_inciden
         leave = out_z if out_z < leave else leave
         hit = (enter > 0) & (enter <= leave) & (enter < known[0])
         range_m[i] = enter if hit else known[0]
-        reflectivity[i] = rho if hit else known[1]
-        cos_incidence[i] = cosine if hit else known[2]
-        object_id[i] = number if hit else known[3]
+        cos_incidence[i] = cosine if hit else known[1]
+        shape_hit[i] = number if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_cylinder(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
+def _cast_cylinder(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
     """A ray is inside a cylinder while it is inside the circle and between the ends."""
     ox, oy, oz = np.float32(-shape[1]), np.float32(-shape[2]), np.float32(-shape[3])
     radius, half = np.float32(shape[6]), np.float32(shape[8])
-    rho, number = np.float32(shape[9]), np.int32(shape[10])
-    zero = np.float32(0)
+    number, zero = np.int32(number), np.float32(0)
     for i in range(range_m.size):
-        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
         dx, dy, dz = ray[0][i], ray[1][i], _not_zero(ray[2][i])
         flat2 = _not_zero(dx * dx + dy * dy)
         along = ox * dx + oy * dy
@@ -255,29 +289,27 @@ def _cast_cylinder(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_in
         cosine = root / radius if side else abs(dz)
         hit = (square > zero) & (enter > zero) & (enter <= leave) & (enter < known[0])
         range_m[i] = enter if hit else known[0]
-        reflectivity[i] = rho if hit else known[1]
-        cos_incidence[i] = cosine if hit else known[2]
-        object_id[i] = number if hit else known[3]
+        cos_incidence[i] = cosine if hit else known[1]
+        shape_hit[i] = number if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_plane(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
+def _cast_plane(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
     """Light from above reaches a level plane along every ray that goes down."""
     height, farthest = np.float32(-shape[3]), np.float32(shape[6])
-    rho, number = np.float32(shape[9]), np.int32(shape[10])
+    number = np.int32(number)
     for i in range(range_m.size):
-        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
         down = _not_zero(-ray[2][i])
         enter = height / down
         hit = (enter > np.float32(0)) & (down > np.float32(0)) & (enter < farthest) & (enter < known[0])
         range_m[i] = enter if hit else known[0]
-        reflectivity[i] = rho if hit else known[1]
-        cos_incidence[i] = down if hit else known[2]
-        object_id[i] = number if hit else known[3]
+        cos_incidence[i] = down if hit else known[1]
+        shape_hit[i] = number if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_rod(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_incidence: Any, object_id: Any) -> Any:
+def _cast_rod(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
     """A rod is the union of a side without ends and a ball at each end; the nearest of the three is what a ray hits.
 
     With m from its middle to the origin, u its direction and d that of the ray: the discriminant of the side is
@@ -288,10 +320,10 @@ def _cast_rod(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_inciden
     half, radius = np.float32(shape[7]), np.float32(shape[8])
     gx, gy, gz = uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx
     along_m = ux * mx + uy * my + uz * mz
-    rho, number = np.float32(shape[9]), np.int32(shape[10])
     zero, infinite, steep, inverse = np.float32(0), np.float32(np.inf), np.float32(1e-5), np.float32(1) / radius
+    number = np.int32(number)
     for i in range(range_m.size):
-        known = (range_m[i], reflectivity[i], cos_incidence[i], object_id[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
         dx, dy, dz = ray[0][i], ray[1][i], ray[2][i]
         along_d = ux * dx + uy * dy + uz * dz
         open_ = np.float32(1) - along_d * along_d
@@ -310,9 +342,8 @@ def _cast_rod(ray: Any, shape: Any, range_m: Any, reflectivity: Any, cos_inciden
         enter = side if side < enter else enter
         hit = enter < known[0]
         range_m[i] = enter if hit else known[0]
-        reflectivity[i] = rho if hit else known[1]
-        cos_incidence[i] = cosine * inverse if hit else known[2]
-        object_id[i] = number if hit else known[3]
+        cos_incidence[i] = cosine * inverse if hit else known[1]
+        shape_hit[i] = number if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -11,14 +11,13 @@ standstill is found within the step, exactly for constant force, and a vehicle t
 """
 
 import math
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from rangecam.types import Floats
-from rangecam.values import value
+from rangecam.values import changed, value
 from rangecam.vehicle.settings import Vehicle
 
 GRAVITY_MPS2 = 9.81
@@ -102,7 +101,7 @@ def move(state: VehicleState, command: Command, dt_s: float, vehicle: Vehicle, r
         motion = _moved(motion, at_s, arrival_s - at_s, applied, vehicle, road)
         applied, at_s, pending = applied._replace(brake=arrived.brake), max(arrival_s, at_s), tuple(rest)
     motion = _moved(motion, at_s, end_s - at_s, applied, vehicle, road)
-    return replace(state, time_s=end_s, motion=motion, command=applied, pending=pending)
+    return changed(state, time_s=end_s, motion=motion, command=applied, pending=pending)
 
 
 def _moved(motion: Floats, start_s: float, dt_s: float, command: Command, vehicle: Vehicle, road: Road) -> Floats:

@@ -1,9 +1,9 @@
 """What a vehicle measures of itself: speed by the holes of a disc, voltages, currents, heat (S-VEH-02, S-VEH-03)."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
+from rangecam.values import changed
 from rangecam.vehicle.dynamics import HOLE_S, PERIOD_S, WHEEL, VehicleState
 from rangecam.vehicle.settings import Vehicle
 
@@ -107,4 +107,4 @@ def discharged(state: VehicleState, vehicle: Vehicle, dt_s: float) -> VehicleSta
         warm + (1 - math.exp(-dt_s / tau_s)) * (outside + k * loss - warm)
         for warm, loss, tau_s, k in zip(state.heat_c[:4], losses_w, _HEATING_S, vehicle.heating_k_per_w, strict=True)
     ]
-    return replace(state, charge_as=state.charge_as + battery_a * dt_s, heat_c=(*heat, outside))
+    return changed(state, charge_as=state.charge_as + battery_a * dt_s, heat_c=(*heat, outside))

@@ -7,7 +7,7 @@ itself. A give-back is any frame of the master without the magic number (E-S-25:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 from rangecam.brake.gate import CanFrame
@@ -24,6 +24,7 @@ from rangecam.can.codec import (
     decode,
     encode,
 )
+from rangecam.values import changed
 from rangecam.vehicle.dynamics import Command, VehicleState
 from rangecam.vehicle.remote import Hand, command_of
 from rangecam.vehicle.sensors import electricity, measured_speed
@@ -65,7 +66,7 @@ def advance_unit(
     for frame in frames:
         state = _heard(state, time_s, frame)
     if state.control is Control.BUS and time_s - state.taken_s > vehicle.unit.timeout_s:
-        state = replace(state, control=Control.REMOTE, taken=None)
+        state = changed(state, control=Control.REMOTE, taken=None)
     command = command_of(hand) if state.taken is None else _obeyed(state.taken)
     state, due = _due(state, time_s, hand, vehicle.unit)
     sent = [CanFrame(*encode(message)) for kind in due for message in _messages(kind, hand, car, vehicle)]
@@ -76,12 +77,12 @@ def _heard(state: UnitState, time_s: float, frame: CanFrame) -> UnitState:
     try:
         message = decode(frame.can_id, frame.data)
     except CodecError:
-        return replace(state, ignored=state.ignored + 1)
+        return changed(state, ignored=state.ignored + 1)
     if isinstance(message, TakeOver):
-        return replace(state, control=Control.BUS, taken=message, taken_s=time_s)
+        return changed(state, control=Control.BUS, taken=message, taken_s=time_s)
     if isinstance(message, GiveBack):
-        return replace(state, control=Control.REMOTE, taken=None)
-    return replace(state, ignored=state.ignored + 1)
+        return changed(state, control=Control.REMOTE, taken=None)
+    return changed(state, ignored=state.ignored + 1)
 
 
 def _obeyed(taken: TakeOver) -> Command:
@@ -102,9 +103,9 @@ _JITTER_S = 1e-9  # of sums of many steps
 def _due(state: UnitState, time_s: float, hand: Hand, unit: Unit) -> tuple[UnitState, list[str]]:
     due = []
     if time_s - state.status_s >= unit.status_period_s - _JITTER_S:
-        state, due = replace(state, status_s=time_s), ["status"]
+        state, due = changed(state, status_s=time_s), ["status"]
     if time_s - state.remote_s >= unit.remote_period_s - _JITTER_S and hand != state.hand:
-        state, due = replace(state, remote_s=time_s, hand=hand), [*due, "remote"]
+        state, due = changed(state, remote_s=time_s, hand=hand), [*due, "remote"]
     return state, due
 
 

@@ -9,7 +9,7 @@ report.html     the page
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -131,15 +131,24 @@ def record_failures(
     seed: int,
     layers: Mapping[str, Any],
     numbers: Sequence[int],
-    watch: Callable[[Any, int], Iterator[Any]],
+    mapper: Mapper,
 ) -> list[Path]:
-    """Record drives into the folder's `failures`, those that are not there yet, and return their files."""
+    """Record drives into the folder's `failures`, those that are not there yet, and return their files.
+
+    Whoever works for `mapper` must see the folder.
+    """
     place = folder / FAILURES
     if numbers:
         place.mkdir(exist_ok=True)
     paths = [place / f"{number}.mcap" for number in numbers]
     missing = [(path, number) for path, number in zip(paths, numbers, strict=True) if not path.exists()]
-    for path, number in watch(missing, len(missing)):
-        with replacing(path) as part:
-            record(part, campaign, seed, number, layers)
+    for _ in mapper(partial(_recorded, campaign=campaign, seed=seed, layers=layers), missing):
+        pass
     return paths
+
+
+def _recorded(what: tuple[Path, int], campaign: str, seed: int, layers: Mapping[str, Any]) -> None:
+    """Record one drive; the work of a worker."""
+    path, number = what
+    with replacing(path) as part:
+        record(part, campaign, seed, number, layers)
