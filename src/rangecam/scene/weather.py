@@ -180,17 +180,21 @@ def in_weather(
     layer = np.arange(len(order)) - np.searchsorted(sorted_flat, sorted_flat)
     rays_before, layers = len(view.range_m), int(layer.max()) + 1
     count = rays_before + layers
-    planes = [np.full((layers, shape[0] * shape[1]), empty, np.float32) for empty in (np.inf, 0.0, 0.0)]
     seen = np.exp(-2 * extinction_perm(weather) * range_m)
-    for plane, values in zip(planes, (range_m, count * reflectivity * seen, cos_incidence), strict=True):
-        plane[layer, sorted_flat] = values[order]
-    added = [plane.reshape(layers, *shape) for plane in planes]
+    place = (rays_before + layer) * (shape[0] * shape[1]) + sorted_flat
+
+    def added(rays: Floats, values: Floats, empty: float) -> Floats:
+        both = np.full((count, *shape), empty, np.result_type(rays, np.float32))
+        both[:rays_before] = rays
+        both.reshape(-1)[place] = values[order].astype(np.float32)
+        return both
+
     return replace(
         view,
-        range_m=np.concatenate([view.range_m, added[0]]),
+        range_m=added(view.range_m, range_m, np.inf),
         # the camera takes the mean over all rays of a pixel
-        reflectivity=np.concatenate([dim.reflectivity * np.float32(count / rays_before), added[1]]),
-        cos_incidence=np.concatenate([view.cos_incidence, added[2]]),
+        reflectivity=added(dim.reflectivity * np.float32(count / rays_before), count * reflectivity * seen, 0.0),
+        cos_incidence=added(view.cos_incidence, cos_incidence, 0.0),
     )
 
 
