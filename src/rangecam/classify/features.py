@@ -77,7 +77,7 @@ def is_resolved(features: Any) -> bool:
     side to side in more than a quarter of the frames as seen.
     """
     columns, rows, beside, hidden = features[_BOX + 2], features[_BOX + 3], features[_BOX + 5], features[_BOX + 8]
-    return min(columns, rows) >= math.log(0.8 * RESOLVED_PIXELS) and beside < 0.75 and hidden < 0.75
+    return bool(min(columns, rows) >= math.log(0.8 * RESOLVED_PIXELS) and beside < 0.75 and hidden < 0.75)
 
 
 def _profile_of(segments: Segments) -> Floats:

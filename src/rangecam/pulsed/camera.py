@@ -122,13 +122,18 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     König 2008, eqs 3.11 and 3.16.
     """
     laser, _, cos_axis = _light(camera)
+    dtype = np.result_type(view.range_m, view.reflectivity, view.cos_incidence)
     range_m, reflectivity, cos_incidence = (
-        np.ascontiguousarray(each, np.float64) for each in (view.range_m, view.reflectivity, view.cos_incidence)
+        np.ascontiguousarray(each, dtype) for each in (view.range_m, view.reflectivity, view.cos_incidence)
     )
     delays_s, collected_s = correlation_curve(window, camera)
-    light, seconds_per_metre = np.empty(range_m.shape), 2 / camera.speed_of_light_mps
+    apart, seconds_per_metre = camera.crosstalk.blur, 2 / camera.speed_of_light_mps
+    light = np.zeros(range_m.shape if apart else (1, *range_m.shape[1:]))
     _expose(range_m, reflectivity, cos_incidence, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
-    return optical(light, view.range_m * cos_axis if camera.crosstalk.blur else light, camera)
+    if apart:
+        return optical(light, view.range_m * cos_axis, camera)
+    light /= len(range_m)
+    return optical(light, light, camera)
 
 
 @njit(cache=True, nogil=True)
@@ -143,21 +148,23 @@ def _expose(
     seconds_per_metre: Any,
     light: Any,
 ) -> Any:
-    """Fill the exposure by each ray (K, H, W); between the points of the correlation it is interpolated."""
-    count, rows, columns = light.shape
+    """Add the exposure by each ray (K, H, W), or by all of a pixel together (1, H, W), to zeros.
+
+    Between the points of the correlation it is interpolated.
+    """
+    (count, rows, columns), layers = range_m.shape, len(light)
     last = len(delays_s) - 1
     for k in range(count):
         for r in range(rows):
             for c in range(columns):
-                away_m = max(range_m[k, r, c], _NEAREST_M)
+                away_m = max(np.float64(range_m[k, r, c]), _NEAREST_M)
                 at_s = delay_s + seconds_per_metre * away_m
-                light[k, r, c] = 0.0
                 if delays_s[0] < at_s < delays_s[last]:
                     i = np.searchsorted(delays_s, at_s)
                     part = (at_s - delays_s[i - 1]) / (delays_s[i] - delays_s[i - 1])
                     met_s = collected_s[i - 1] + part * (collected_s[i] - collected_s[i - 1])
-                    lit = laser[r, c] * reflectivity[k, r, c] * cos_incidence[k, r, c] / away_m**2
-                    light[k, r, c] = lit * met_s
+                    bright = laser[r, c] * np.float64(reflectivity[k, r, c]) * np.float64(cos_incidence[k, r, c])
+                    light[min(k, layers - 1), r, c] += bright / away_m**2 * met_s
 
 
 def ambient_irradiance(view: View, camera: PulsedCamera) -> Floats:

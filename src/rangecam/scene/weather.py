@@ -180,17 +180,21 @@ def in_weather(
     layer = np.arange(len(order)) - np.searchsorted(sorted_flat, sorted_flat)
     rays_before, layers = len(view.range_m), int(layer.max()) + 1
     count = rays_before + layers
-    planes = [np.full((layers, shape[0] * shape[1]), empty, np.float32) for empty in (np.inf, 0.0, 0.0)]
     seen = np.exp(-2 * extinction_perm(weather) * range_m)
-    for plane, values in zip(planes, (range_m, count * reflectivity * seen, cos_incidence), strict=True):
-        plane[layer, sorted_flat] = values[order]
-    added = [plane.reshape(layers, *shape) for plane in planes]
+    place = (rays_before + layer) * (shape[0] * shape[1]) + sorted_flat
+
+    def added(rays: Floats, values: Floats, empty: float) -> Floats:
+        both = np.full((count, *shape), empty, np.result_type(rays, np.float32))
+        both[:rays_before] = rays
+        both.reshape(-1)[place] = values[order].astype(np.float32)
+        return both
+
     return replace(
         view,
-        range_m=np.concatenate([view.range_m, added[0]]),
+        range_m=added(view.range_m, range_m, np.inf),
         # the camera takes the mean over all rays of a pixel
-        reflectivity=np.concatenate([dim.reflectivity * np.float32(count / rays_before), added[1]]),
-        cos_incidence=np.concatenate([view.cos_incidence, added[2]]),
+        reflectivity=added(dim.reflectivity * np.float32(count / rays_before), count * reflectivity * seen, 0.0),
+        cos_incidence=added(view.cos_incidence, cos_incidence, 0.0),
     )
 
 
@@ -330,10 +334,12 @@ def _sources(
     for step in steps:
         moved_m = falling.position_m + (after_s + step * weather.streak_s) * falling.velocity_mps
         seen_m = (moved_m - position(mounting)) @ rotation(mounting)
-        ahead = seen_m[:, 0] > 0
-        pixel, which, share = _covered(seen_m[ahead], falling.diameter_m[ahead], falling.mirrors[ahead], lens, shape)
-        mirrors, range_m = falling.mirrors[ahead][which], np.linalg.norm(seen_m[ahead], axis=1)[which]
-        part = share * math.pi / 4 * falling.diameter_m[ahead][which] ** 2 / (range_m**2 * solid_sr[pixel])
+        ahead = np.flatnonzero(seen_m[:, 0] > 0)
+        seen_m = seen_m[ahead]
+        pixel, which, share = _covered(seen_m, falling.diameter_m[ahead], falling.mirrors[ahead], lens, shape)
+        who, range_m = ahead[which], np.linalg.norm(seen_m[which], axis=1)
+        mirrors = falling.mirrors[who]
+        part = share * math.pi / 4 * falling.diameter_m[who] ** 2 / (range_m**2 * solid_sr[pixel])
         bright = np.where(mirrors, part * mirrored(weather), np.minimum(part, 1.0) * weather.snow_reflectivity)
         found.append((pixel, range_m, bright / len(steps), np.where(mirrors, 1.0, 2 / 3)))
     flat, range_m, reflectivity, cosine = (np.concatenate(column) for column in zip(*found, strict=True))
@@ -348,6 +354,10 @@ def _covered(
     seen_m (N, 3): in camera axes, before the camera. A mirroring drop is a point; a flake as large as a third of a
     pixel or more is taken as points spread evenly over its disc.
     """
+    if mirrors.all():
+        pixel, inside = _pixels(seen_m, lens, shape)
+        which = np.flatnonzero(inside)
+        return pixel[which], which, np.ones(len(which))
     range_m = np.linalg.norm(seen_m, axis=1)
     spread = ~mirrors & (diameter_m > min(pixel_pitch(lens, shape)) * range_m / 3)
     k = np.arange(_POINTS)

@@ -19,7 +19,7 @@ A study is a function of a random generator; it returns its claims and the serie
 - cw_calibration: what calibration leaves of wiggling, offset, fixed pattern and drift with the temperature
 - arctangents, emulation: ways to the phase, and the microcontroller's integers beside exact ranging
 - embedded: processing units, memories and debug stream of the microcontroller
-- filters: the filters of cleaning side by side
+- filters: the filters of cleaning side by side; segmentation: its methods
 - unwrapping: several modulation frequencies, their errors and what the phasor filter saves
 """
 
@@ -60,6 +60,7 @@ from rangecam.studies.pulsed_rain import pulsed_rain
 from rangecam.studies.pulsed_saturation import pulsed_saturation
 from rangecam.studies.pulsed_scenes import pulsed_scenes
 from rangecam.studies.pulsed_sensor import pulsed_sensor
+from rangecam.studies.segmentation import segmentation
 from rangecam.studies.study import Claim, Panel, Picture, Series, Study, as_json, table, verdicts
 from rangecam.studies.tracking_crowds import tracking_crowds
 from rangecam.studies.tracking_models import tracking_models
@@ -102,6 +103,7 @@ STUDIES: dict[str, Callable[[np.random.Generator], Study]] = {
     "embedded-schedule": embedded_schedule,
     "embedded-memory": embedded_memory,
     "filters": filters,
+    "segmentation": segmentation,
     "cw-unwrapping": unwrapping,
 }
 """Studies by name."""

@@ -34,7 +34,7 @@ def resolved(examples: Examples, whole: bool = True) -> NDArray[np.bool_]:
     away. The image may end above or below them, as that of the pulsed camera does, which is 1.5 m high at 10 m.
     """
     near, far = RANGE_M
-    clear = (examples.cut & _SIDES == 0) & (examples.pixels >= RESOLVED_PIXELS).all(axis=1)
+    clear: NDArray[np.bool_] = (examples.cut & _SIDES == 0) & (examples.pixels >= RESOLVED_PIXELS).all(axis=1)
     clear &= (examples.range_m >= near) & (examples.range_m <= far)
     return clear & (examples.share >= _WHOLE) if whole else clear
 
