@@ -232,9 +232,9 @@ MEMORY = (
     *("reliability", "process_noise", "placed_width", "merged", "parts"),
 )
 """Columns of `Tracks.memory`: running mean and variance of the logarithms of width (m), height (m) and fill (pixels
-times
-squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the process
-noise, running mean of the width whose middle the position is (m), number of the group that is seen as one segment (0: none), frames in a row in which it was seen in parts."""
+times squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the
+process noise, running mean of the width whose middle the position is (m), number of the group that is seen as one
+segment (0: none), frames in a row in which it was seen in parts."""
 POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]
 CLASSES = ("unknown", "vru", "vehicle", "obstacle")
 """Object classes (K-CLS-01): vulnerable road user, vehicle, obstacle."""

@@ -87,7 +87,7 @@ def look_ahead(
 
 
 def _width(tracks: Tracks) -> Floats:
-    """Return the width (N,) m whose middle the position of each track is: less than the whole where a part is hidden."""
+    """Return the width (N,) m whose middle the position of each track is: without what is hidden."""
     return tracks.size_m[:, 1] if tracks.memory is None else tracks.memory[:, _PLACED]
 
 

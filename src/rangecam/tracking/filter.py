@@ -338,7 +338,7 @@ def unseen(
             if cut[j] & (ACROSS if a == 1 else UP) == 0:
                 continue
             missing, spread = _missing(x, P, memory, position[j], R[j], size[j], a)
-            if z is not None:
+            if z is not None:  # noqa: SIM102 - Numba leaves it out where there is none
                 if a == 1 and one_sided(cut[j]):
                     z[j, 1] += missing / 2 if cut[j] & _LEFT else -missing / 2
                     R[j, 1, 1] += spread / 4
