@@ -23,7 +23,7 @@ from rangecam.brake.rule import (
 )
 from rangecam.collision import CorridorSettings
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.types import Decision, Ego, Segments, Tracks, TrackStatus
+from rangecam.types import MEMORY, Decision, Ego, Segments, Tracks, TrackStatus
 
 MODEL_CAR = DecisionSettings()
 
@@ -321,11 +321,12 @@ WALKER = {"x": 3.0, "vx": -3.0, "y": -1.2, "vy": 1.2, "sigma_v": 0.2}
         {"sigma_v": 0.5},  # as if it stood, within three standard deviations
         {"nis": 15.0},  # its innovations say that the speed is less certain
         {"hits": 5.0, "age": 5.0},
+        {"hits": 11.0, "age": 20.0},  # it comes and goes
         {"status": float(TrackStatus.COASTING)},
     ],
 )
 def test_what_is_beside_the_path_must_have_been_seen_to_move_into_it(doubt: dict[str, float]) -> None:
-    ego, trusting = Ego(speed_mps=3.0), CorridorSettings(crossing_sigmas=0.0, crossing_hits=0)
+    ego, trusting = Ego(speed_mps=3.0), CorridorSettings(crossing_sigmas=0.0, crossing_hits=0, crossing_share=0.0)
     assert decided(WALKER, ego=ego).brake
     doubtful = decided({**WALKER, **doubt}, ego=ego)
     assert (doubtful.brake, doubtful.reason) == (False, "no object in the path")
@@ -333,6 +334,14 @@ def test_what_is_beside_the_path_must_have_been_seen_to_move_into_it(doubt: dict
     assert in_path.brake
     if "status" not in doubt:
         assert decided({**WALKER, **doubt}, ego=ego, corridor=trusting, min_probability=0.3).brake
+
+
+def test_where_a_part_is_hidden_the_corridor_counts_what_the_position_is_the_middle_of() -> None:
+    car = tracks_of({"x": 2.3, "vx": -3.0, "y": 0.8, "width": 1.8})
+    assert decide(car, Ego(speed_mps=3.0), MODEL_CAR).brake
+    memory = np.zeros((1, len(MEMORY)))
+    memory[0, MEMORY.index("placed_width")] = 0.4
+    assert not decide(dataclasses.replace(car, memory=memory), Ego(speed_mps=3.0), MODEL_CAR).brake
 
 
 def test_what_is_not_seen_does_not_drift_into_the_path() -> None:

@@ -8,22 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rangecam.brake.health import judge
+from rangecam.brake.machine import Fault as Cause
+from rangecam.cameras.simulated import frame
 from rangecam.config import Config, load_config
 from rangecam.drive import bound, page
+from rangecam.drive.campaigns import trial_of
 from rangecam.drive.contact import impact_speed, nearest
 from rangecam.drive.journey import between, hand_of
 from rangecam.drive.loop import drive
 from rangecam.drive.mind import brake_settings, latency_s
-from rangecam.drive.opening import opened
+from rangecam.drive.opening import drive_settings, opened
 from rangecam.drive.result import COLUMNS, Drive, as_json, describe
 from rangecam.drive.settings import DriveSettings, Fault
 from rangecam.errors import UsageError
 from rangecam.io import Recorder, open_source
-from rangecam.pipeline import run
+from rangecam.pipeline import process_frame, run
 from rangecam.scene.paths import EgoMotion, EgoPhase, Pose
 from rangecam.scene.paths import Path as Way
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject
+from rangecam.types import Tracks
 from rangecam.vehicle.dynamics import standing
 from rangecam.vehicle.settings import VEHICLES
 
@@ -140,6 +145,34 @@ def test_a_reflector_beyond_the_unambiguous_range_needs_a_second_frequency(prese
     found = drive(replace(scenario, duration_s=1.1), config, settings)
     assert math.isfinite(found.braked_s) is brakes
     assert not found.by_fault
+
+
+@pytest.mark.parametrize(("number", "until_s"), [(113, 0.4), (112, 0.6), (79, 0.3), (78, 1.2)])
+def test_parked_cars_poles_in_rain_and_dust_and_a_rail_are_driven_past(number: int, until_s: float) -> None:
+    trial = trial_of("false-positives", 11, number, {})
+    brief = replace(trial.scenario, duration_s=until_s)
+    assert math.isinf(drive(brief, trial.config, trial.settings, trial.seed).braked_s)
+
+
+def test_one_who_walks_into_the_way_of_a_car_is_stopped_for() -> None:
+    trial = trial_of("full-size", 21, 98, {})
+    assert (trial.drawn.group, trial.drawn.camera) == ("CPNA", "usercams")
+    found = drive(trial.scenario, trial.config, trial.settings, trial.seed)
+    assert not found.hit
+    assert not found.by_fault
+
+
+@pytest.mark.parametrize(("reflectivity", "faults"), [(0.08, ()), (0.0, (Cause.BLOCKED,))])
+def test_a_dark_bare_floor_does_not_block_the_lens_and_no_light_at_all_does(
+    reflectivity: float, faults: tuple[Cause, ...]
+) -> None:
+    config = load_config("scaled_car_unwrapped")
+    bare = replace(scene(), ground_reflectivity=reflectivity)
+    seen = frame(bare, config, 0, 0.1, 0)
+    found = process_frame(seen.raw, Tracks.empty(), seen.ego, config)
+    health = drive_settings(config, {}).brake.health
+    assert health.min_seen == config.brake.health.min_seen
+    assert judge(found, 0.2, None, health).faults == faults
 
 
 def test_a_car_ahead_as_fast_as_we_are_is_followed() -> None:

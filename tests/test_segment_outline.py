@@ -158,3 +158,22 @@ def test_segments_of_few_rows_have_a_profile_too(rows):
     profile = segment(block(slice(10, 10 + rows), slice(20, 30)), wall()).profile
     assert_allclose(profile[:2], 1.0)
     assert np.abs(profile[2]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("reason", "cut"), [(Why.LOW_AMPLITUDE, Cut.LEFT), (Why.ISOLATED, Cut.LEFT), (Why.VALID, 0), (Why.FLOOR, 0)]
+)
+def test_what_ends_at_a_last_pixel_that_measured_nothing_may_go_on_beyond_the_image(reason, cut):
+    source = wall()
+    source.why[:, 0] = reason
+    assert segment(block(slice(10, 20), slice(1, 20)), source).cut == cut
+
+
+@pytest.mark.parametrize(("columns", "share"), [(1, 1.0), (2, 1 / 4), (5, 1 / 25)])
+def test_torn_ends_make_the_range_of_thin_things_beside_our_way_uncertain(columns, share):
+    labels = block(slice(10, 20), slice(50, 50 + columns))
+    with_it, without = (segment(labels, wall(), edge_range_sigma_m=sigma) for sigma in (10.0, 0.0))
+    sine = abs(with_it.position_m[1]) / np.linalg.norm(with_it.position_m)
+    more = np.sqrt(with_it.sigma_range_m**2 - without.sigma_range_m**2)
+    assert_allclose(more, 10.0 * sine * share, rtol=1e-6)
+    assert segment(block(slice(10, 20), slice(29, 31)), wall(), edge_range_sigma_m=10.0).sigma_range_m < 0.01

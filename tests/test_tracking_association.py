@@ -386,3 +386,31 @@ def test_without_an_own_speed_the_ground_is_that_of_the_vehicle() -> None:
     frames = [seen([9 - 0.1 * k, 0.1, 0]) for k in range(8)]
     ground = follow(frames, dataclasses.replace(PLAIN, frame="ground"))[-1]
     np.testing.assert_array_equal(ground.state, follow(frames)[-1].state)
+
+
+def passing(side: float, cut: int) -> list[Tracks]:
+    """Tracks of something 2 m wide beside our way, whose outer end the edge of the image cuts further and further."""
+    steps, tracks = [], Tracks.empty()
+    for k in range(40):
+        width = 2.0 if k < 20 else 2.0 - 0.08 * (k - 20)
+        place = [10.0, side * (2.0 + width / 2), 0.9]
+        tracks = update_tracks(tracks, seen([place], width=width, cut=cut if k >= 20 else 0), 0.02 * k, PLAIN)
+        steps.append(tracks)
+    return steps
+
+
+@pytest.mark.parametrize(("side", "cut"), [(1.0, Cut.LEFT), (-1.0, Cut.RIGHT)])
+def test_what_the_image_cuts_at_its_outer_side_is_placed_by_its_inner_end(side: float, cut: Cut) -> None:
+    steps = passing(side, int(cut))
+    assert all(len(each) == 1 for each in steps)
+    assert np.abs([each.state[0, 3] - 3 * side for each in steps]).max() < 0.05
+    assert np.abs([each.state[0, 4] for each in steps[20:]]).max() < 0.3
+    assert steps[-1].memory is not None
+    assert steps[-1].memory[0, MEMORY.index("placed_width")] == pytest.approx(2.0, rel=0.05)
+
+
+def test_what_is_hidden_on_any_side_is_placed_where_it_is_seen() -> None:
+    last = passing(1.0, int(Cut.OCCLUDED))[-1]
+    assert last.memory is not None
+    assert last.memory[0, MEMORY.index("placed_width")] == pytest.approx(0.6, abs=0.2)
+    assert last.state[0, 3] < 2.9

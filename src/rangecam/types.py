@@ -239,12 +239,12 @@ STATE = ("x", "vx", "ax", "y", "vy", "ay", "z", "vz", "az")
 """Order of the state vector (K-KAL-01): m, m/s, m/s2 in vehicle axes."""
 MEMORY = (
     *("log_width", "log_height", "log_fill", "log_width_variance", "log_height_variance", "log_fill_variance"),
-    *("reliability", "process_noise", "merged", "parts"),
+    *("reliability", "process_noise", "placed_width", "merged", "parts"),
 )
 """Columns of `Tracks.memory`: running mean and variance of the logarithms of width (m), height (m) and fill (pixels
-times
-squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the process
-noise, number of the group that is seen as one segment (0: none), frames in a row in which it was seen in parts."""
+times squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the
+process noise, running mean of the width whose middle the position is (m), number of the group that is seen as one
+segment (0: none), frames in a row in which it was seen in parts."""
 POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]
 CLASSES = ("unknown", "vru", "vehicle", "obstacle")
 """Object classes (K-CLS-01): vulnerable road user, vehicle, obstacle."""
@@ -325,7 +325,7 @@ class Tracks(Rows):
     nis (N,): normalised innovation squared of the last update (3 degrees of freedom), NaN where there was none.
     mode_probability (N, K), mode_state (N, K, 9), mode_covariance (N, K, 9, 9): the K modes of an interacting multiple
         model, of which state and covariance are the mean; K = 0 where one motion model does.
-    memory (N, 10): what only the tracker needs, see `MEMORY`; None where it has not seen the tracks yet.
+    memory (N, 11): what only the tracker needs, see `MEMORY`; None where it has not seen the tracks yet.
     ego: own motion that the velocities are relative to; None before the first frame.
     refused: `Refused`. ignored: segments of the last frame whose position or covariance was not finite.
     """

@@ -40,6 +40,7 @@ def look(
     state: Floats,
     covariance: Floats,
     size: Floats,
+    wide: Floats,
     near_offset: Floats,
     n_pixels: Floats,
     track_id: Ints,
@@ -69,14 +70,14 @@ def look(
         distance = x[0] - near_offset[i] - front
         bend = _bend(x[1], yaw_rate, speed)
         where = distance + (depth + limits[1]) / 2, x[3], x[1], x[4], use_a * x[2], use_a * x[5] + bend
-        outline = (depth + limits[1]) / 2, (width + max(size[i, 1], 0.0)) / 2, limits[3]
+        outline = (depth + limits[1]) / 2, (width + max(wide[i], 0.0)) / 2, limits[3]
         p_lateral = _collision(P, distance, where, outline, limits, points, z, new[:, i])
         now = distance + x[1] * lag
         # where nothing was seen, a track goes on with a speed that nobody measures: it may not drift into the path
         drifts = 0.0 if status[i] == _CONFIRMED else limits[10] * math.sqrt(P[3, 3])
         inside = abs(x[3]) + drifts <= outline[1]
         if abs(x[3]) > outline[1] and new[3, i] >= min_probability:
-            seen = hits[i] if status[i] == _CONFIRMED else 0
+            seen = hits[i] if status[i] == _CONFIRMED and hits[i] >= limits[12] * age[i] else 0
             inside = _comes_in(x, P, seen, nis[i], where, outline, limits, yaw_rate)
         if inside and now + depth > 0 and math.isfinite(now) and status[i] != _TENTATIVE:
             at = found
@@ -104,7 +105,7 @@ def _comes_in(
     a few frames only, is taken for it: that of something which is cut by the image's edge while we pass it, or whose
     outermost pixels come and go, points into the path as often as out of it. Such tracks contradict themselves, too:
     where the last innovation is larger than its covariance says, the speed is so much less certain.
-    hits: frames in which it was seen, 0 if it is not seen now.
+    hits: frames in which it was seen, 0 if it is not seen now, or seldom.
     """
     turn = -yaw_rate * x[0]
     surplus = max(nis / 3, 1.0) if math.isfinite(nis) else 1.0

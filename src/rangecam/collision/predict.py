@@ -10,7 +10,7 @@ from scipy.special import ndtri
 from rangecam.collision.kernels import look
 from rangecam.collision.points import gaussian_points
 from rangecam.collision.settings import CorridorSettings
-from rangecam.types import QUANTILES, Collisions, Ego, Floats, Tracks
+from rangecam.types import MEMORY, QUANTILES, Collisions, Ego, Floats, Tracks
 
 
 class InPath(NamedTuple):
@@ -77,7 +77,7 @@ def look_ahead(
     turning = float(ego.yaw_rate_radps), math.nan if ego.speed_mps is None else float(ego.speed_mps)
     # fmt: off
     found = look(
-        tracks.status, tracks.state, tracks.covariance, tracks.size_m, tracks.near_offset_m,
+        tracks.status, tracks.state, tracks.covariance, tracks.size_m, _width(tracks), tracks.near_offset_m,
         tracks.n_pixels, tracks.track_id, tracks.class_probability, tracks.hits, tracks.age, tracks.nis,
         _limits(settings), float(min_probability), *turning, _POINTS[settings.use_acceleration], _Z, new, path,
     )
@@ -86,6 +86,12 @@ def look_ahead(
     return collisions, [InPath(*row) for row in path[:found].tolist()]
 
 
+def _width(tracks: Tracks) -> Floats:
+    """Return the width (N,) m whose middle the position of each track is: without what is hidden."""
+    return tracks.size_m[:, 1] if tracks.memory is None else tracks.memory[:, _PLACED]
+
+
+_PLACED = MEMORY.index("placed_width")
 _Z = ndtri(np.array(QUANTILES))
 _ROWS = 7 + len(QUANTILES)
 
@@ -96,5 +102,5 @@ def _limits(settings: CorridorSettings) -> Floats:
     s = settings
     radius_m = min(s.corner_radius_m, s.width_m / 2, s.length_m / 2)
     expected = s.horizon_s, float(s.use_acceleration), s.drift_mps**2, s.surface_sigma_m**2, s.size_sigma_m, s.lag_s
-    crossing = s.crossing_sigmas, float(s.crossing_hits)
+    crossing = s.crossing_sigmas, float(s.crossing_hits), s.crossing_share
     return np.array([s.width_m, s.length_m, s.front_m, radius_m, *expected, *crossing])

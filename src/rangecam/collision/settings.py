@@ -1,6 +1,6 @@
 """What can be set about the prediction of collisions."""
 
-from rangecam.settings import NonNegative, NonNegativeInt, Positive, settings
+from rangecam.settings import Fraction, NonNegative, NonNegativeInt, Positive, settings
 
 
 @settings
@@ -34,4 +34,6 @@ class CorridorSettings:
     more than so many standard deviations, or if our own bend takes us to it. What is not seen now must overlap the
     corridor by so many standard deviations of its place."""
     crossing_hits: NonNegativeInt = 6
-    """And only if it was seen in so many frames: the first ones tell no speed across."""
+    """And only if it was seen in so many frames: the first ones tell no speed across; ..."""
+    crossing_share: Fraction = 0.6
+    """... and in this share of the frames since its first: what comes and goes is not the same each time."""

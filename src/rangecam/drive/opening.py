@@ -33,14 +33,15 @@ def opened(
 
 
 def drive_settings(config: Config, told: Mapping[str, Any]) -> DriveSettings:
-    """Return the settings of a drive with this camera; told: what differs from those of the vehicle."""
+    """Return the settings of a drive with this camera; told: what differs from those of camera and vehicle."""
     on_road = config.decision.corridor.width_m >= _MODEL_CAR_M
     vehicle = told.get("vehicle", {})
     if isinstance(vehicle, str):
         first, rest = vehicle, {}
     else:
         first, rest = "passenger_car" if on_road else "scaled_car", vehicle
-    base = merge(ROAD if first == "passenger_car" else {}, {"vehicle": tree(vehicle_named(first))})
+    brake = {"brake": tree(config.brake)}
+    base = merge(brake, ROAD if first == "passenger_car" else {}, {"vehicle": tree(vehicle_named(first))})
     others = {key: value for key, value in told.items() if key != "vehicle"}
     return parse(DriveSettings, merge(base, others, {"vehicle": rest}), "drive")
 

@@ -71,6 +71,7 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
             *(settings.occluder_step_m, settings.occluder_sigmas, settings.occluder_fraction),
             settings.edge_step,
             settings.depth_scatter,
+            settings.edge_range_sigma_m,
         ],
         float,
     )
@@ -232,7 +233,7 @@ def _evaluate(
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
-    step, scatter = known[23], known[24]
+    step, scatter, torn = known[23], known[24], known[25]
     for k in range(len(sums)):
         number, variance = sums[k, 0], sums[k, 8] / sums[k, 0]
         n_pixels[k], means[0, k], means[1, k] = number, sums[k, 7] / number, sums[k, 9] / number
@@ -261,4 +262,7 @@ def _evaluate(
         above = 2 - (cut[k] >> 2 & 1) - (cut[k] >> 3 & 1)  # top and bottom
         sigmas[k, 0] = math.sqrt(pixel**2 + beside * (step**2 + jitter**2 / rows) / 4)
         sigmas[k, 1] = math.sqrt(pixel**2 + above * (step**2 + jitter**2 / columns) / 4)
-        sigmas[k, 2] = math.sqrt((variance + scatter * depth_spread) * min(shared / number, 1.0) + systematic**2)
+        noise2 = (variance + scatter * depth_spread) * min(shared / number, 1.0) + systematic**2
+        # of several columns the ends err against each other: what one gains the other loses
+        ends = (rows / number) ** 4 * (position_m[k, 1] - centre[1]) ** 2 / radius2
+        sigmas[k, 2] = math.sqrt(noise2 + torn**2 * ends)

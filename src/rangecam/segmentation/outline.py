@@ -15,10 +15,10 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
     planes: range, sigma, why (H, W); box (N, 4) of each segment, bounds (N, 6) of its points; limits: height of the
     camera (m), what `SegmentSettings.occluder_*` say. The outline of a segment is the first and last of its pixels in
     each row and each column of its box. It touches an edge of the image where nothing, or only the discarded border,
-    lies beyond it. It is occluded where the first pixel beyond it that has a range (of at most three: flying pixels lie
-    between) is nearer by more than a step and the noise; the part of the outline for which this holds must be more than
-    a few stray pixels. The floor in front of an object is nearer too: a point below the lowest of the segment, on a ray
-    that goes down, is no occluder.
+    or one last pixel that measured nothing, lies beyond it. It is occluded where the first pixel beyond it that has a
+    range (of at most three: flying pixels lie between) is nearer by more than a step and the noise; the part of the
+    outline for which this holds must be more than a few stray pixels. The floor in front of an object is nearer too: a
+    point below the lowest of the segment, on a ray that goes down, is no occluder.
     """
     height, width = labels.shape
     flat, z, why = labels.reshape(-1), points.reshape(-1)[2::3], planes[2].reshape(-1)
@@ -39,7 +39,9 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
                     pixel, walked = pixel + inward, walked + 1
                 if walked < depth:
                     outline += 1
-                    if room + walked == 0 or why[pixel - inward] == _BORDER:
+                    beyond = why[pixel - inward] if room + walked > 0 else _BORDER
+                    unknown = beyond not in (0, _OUTSIDE, _FLOOR)
+                    if beyond == _BORDER or (room + walked == 1 and unknown):
                         bits |= 1 << side
                     else:
                         far = min(room + walked, _FAR)

@@ -64,6 +64,10 @@ class SegmentSettings:
     depth_scatter: Fraction = 0.0
     """Share of the variance of a segment's points along x that is chance: 0 for a solid surface, whose depth is its
     shape; more where shutters that are taken one after the other tear the edges of what moves apart."""
+    edge_range_sigma_m: NonNegative = 0.0
+    """Standard deviation of the range of a segment's leftmost and rightmost pixels, alike in all rows, for something
+    90 degrees beside our way; less by the sine elsewhere. Shutters that are taken one after the other see such pixels
+    filled by different parts of what we pass. It is that of the whole segment where this is one column wide."""
     shared_noise_pixels: Annotated[float, Interval(ge=1)] = 6.6
     """Over how many pixels the noise is the same; 1: independent. Unless it is set, what the filter of `clean` says."""
     near_fraction: Annotated[float, Interval(gt=0, le=0.5)] = 0.05

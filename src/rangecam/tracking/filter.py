@@ -24,7 +24,7 @@ RULES = (
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise;
 variance of the centroid of what is cut short, as a share of the squared size."""
-_NOISE = 7  # column of MEMORY
+_SPREAD, _NOISE = 3, 7  # columns of MEMORY
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
 """label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m and cut of
@@ -77,8 +77,9 @@ def advance(
         else:
             for i in range(len(x)):
                 _predict(state[i], covariance[i], model, rules[5], memory[i, _NOISE], x[i], P[i])
-    unseen(x, P, memory, position, size, cut, rules, R)
-    measured = position, R, rules[3], pixels
+    z = np.empty_like(position)
+    unseen(x, P, memory, (position, size, cut), rules, R, z)
+    measured = z, R, rules[3], pixels
     if stage != PAIRED:
         _gate(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
@@ -114,8 +115,9 @@ def advance_modes(
         _predict_modes((old[0], old[1], old[2]), motion, (rules[5], memory), own, (mu, modes, spreads))
         for i in range(len(x)):
             _moments(mu[i], modes[i], spreads[i], x[i], P[i])
-    unseen(x, P, memory, position, size, cut, rules, R)
-    measured = position, R, rules[3], pixels
+    z = np.empty_like(position)
+    unseen(x, P, memory, (position, size, cut), rules, R, z)
+    measured = z, R, rules[3], pixels
     if stage != PAIRED:
         _gate(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
@@ -312,30 +314,64 @@ def complete(covariance: Floats, size: Floats, cut: Ints, rules: Floats, R: Floa
             for b in range(3):
                 R[j, a, b] = covariance[j, a, b]
             R[j, a, a] += common + extent * size[j, a] ** 2
-            if (a == 1 and across) or (a == 2 and up):
+            if (a == 2 and up) or (a < 2 and across):
                 R[j, a, a] += unseen * size[j, a] ** 2
 
 
 @njit(cache=True, nogil=True)
 def unseen(
-    x: Floats, P: Floats, memory: Floats, position: Floats, size: Floats, cut: Ints, rules: Floats, R: Floats
+    x: Floats, P: Floats, memory: Floats, seen: tuple[Floats, Floats, Ints], rules: Floats, R: Floats, z: Floats | None
 ) -> None:
     """Raise the covariances of what is cut short and may be part of a larger track, in place.
 
-    Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of what is seen.
+    seen: position, size, cut of the segments. Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of
+    what is seen. If z (M, 3) is given, it becomes the positions, and of what one side of the image cuts the centre of
+    the whole: half of W from the end that is seen, as surely as W is known.
     """
+    position, size, cut = seen
+    if z is not None:
+        for j in range(cut.size):
+            for a in range(3):
+                z[j, a] = position[j, a]
     for j in range(cut.size):
-        if cut[j] == 0:
-            continue
         for a in range(1, 3):
-            missing = 0.0
-            for i in range(len(x) if cut[j] & (ACROSS if a == 1 else UP) else 0):
-                whole = math.exp(memory[i, a - 1])
-                reach = (whole + size[j, a]) / 2 + 2 * math.sqrt(P[i, 3 * a, 3 * a])
-                beside = abs(x[i, 3 * a] - position[j, a]) <= reach
-                if beside and abs(x[i, 0] - position[j, 0]) <= 0.5 + 2 * math.sqrt(P[i, 0, 0]):
-                    missing = max(missing, whole - size[j, a])
+            if cut[j] & (ACROSS if a == 1 else UP) == 0:
+                continue
+            missing, spread = _missing(x, P, memory, position[j], R[j], size[j], a)
+            if z is not None:  # noqa: SIM102 - Numba leaves it out where there is none
+                if a == 1 and one_sided(cut[j]):
+                    z[j, 1] += missing / 2 if cut[j] & _LEFT else -missing / 2
+                    R[j, 1, 1] += spread / 4
+                    continue
             R[j, a, a] += rules[16] * missing**2
+
+
+@njit(cache=True, nogil=True)
+def one_sided(cut: int) -> bool:
+    """Return whether one side of the image cuts a segment, and the other does not."""
+    return bool((cut & _LEFT != 0) != (cut & _RIGHT != 0))
+
+
+_LEFT, _RIGHT = int(Cut.LEFT), int(Cut.RIGHT)
+
+
+@njit(cache=True, nogil=True)
+def _missing(
+    x: Floats, P: Floats, memory: Floats, position: Floats, R: Floats, size: Floats, a: int
+) -> tuple[float, float]:
+    """Return how much wider (a = 1) or higher (2) than a segment the widest track is that it may be part of.
+
+    And the variance of that track's own width or height.
+    """
+    missing, spread = 0.0, 0.0
+    for i in range(len(x)):
+        whole = math.exp(memory[i, a - 1])
+        reach = (whole + size[a]) / 2 + 2 * math.sqrt(P[i, 3 * a, 3 * a] + R[a, a])
+        beside = abs(x[i, 3 * a] - position[a]) <= reach
+        ahead = abs(x[i, 0] - position[0]) <= 0.5 + 2 * math.sqrt(P[i, 0, 0] + R[0, 0])
+        if beside and ahead and whole - size[a] > missing:
+            missing, spread = whole - size[a], whole**2 * memory[i, _SPREAD + a - 1]
+    return missing, spread
 
 
 @njit(cache=True, nogil=True)

@@ -8,13 +8,13 @@ import math
 import numpy as np
 from numba import njit
 
-from rangecam.tracking.filter import ACROSS, UP
+from rangecam.tracking.filter import ACROSS, UP, one_sided
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
 GONE = -1
 """In the place of a status: the track ends with this frame."""
-_RELIABILITY, _NOISE, _GROUP, _PARTS = (MEMORY.index(name) for name in MEMORY[6:])
+_RELIABILITY, _NOISE, _PLACED, _GROUP, _PARTS = (MEMORY.index(name) for name in MEMORY[6:])
 
 
 @njit(cache=True, nogil=True)
@@ -180,6 +180,8 @@ def _reshape(
                 short = cut[j] & (UP if a == 2 else ACROSS) != 0 and a > 0
                 if not short or size[j, a] > old[0][i, a]:
                     new_size[i, a] += weight * (size[j, a] - old[0][i, a])
+            placed = max(new_size[i, 1], size[j, 1]) if one_sided(cut[j]) else size[j, 1]
+            memory[i, _PLACED] += weight * (placed - memory[i, _PLACED])
             for a in range(3):
                 apart = shape[j, a] - memory[i, a]
                 if cut[j] == 0 or (a < 2 and apart > 0):

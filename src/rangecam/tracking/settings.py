@@ -43,7 +43,8 @@ class TrackingSettings:
     """Wander of the centroid over an extended object: standard deviation as a share of the object's size."""
     cut_sigma: NonNegative = 0.29
     """The same, beside it, where the image's edge or something nearer cuts an object short: 1 over the root
-    of 12 is that of missing anything, evenly, up to as much as is seen."""
+    of 12 is that of missing anything, evenly, up to as much as is seen. Beside the image ends what is near first, so
+    that the depth is cut as well."""
     frame_time_sigma_s: NonNegative = 0.0
     """Jitter of the frames' time stamps; it blurs the position of a moving object along its way."""
     confirm_hits: PositiveInt = 3

@@ -20,7 +20,7 @@ def shapes(seen: Seen) -> Floats:
 
 
 def shape_cost(memory: Floats, shape: Floats) -> Floats:
-    """Return what a shape adds to the cost of a pairing: memory (..., 10) of the track, shape (..., 7) of the segment.
+    """Return what a shape adds to the cost of a pairing: memory (..., 11) of the track, shape (..., 7) of the segment.
 
     Twice the negative logarithm of how much likelier it is among the track's own shapes than among any: each logarithm
     is normal about the track's mean, with its own running variance and that of the segment's pixels; those of other
@@ -34,12 +34,13 @@ def shape_cost(memory: Floats, shape: Floats) -> Floats:
 
 
 def first_memory(shape: Floats, sigma: float) -> Floats:
-    """Return the memory (N, 10) of tracks that were seen once, with these shapes."""
+    """Return the memory (N, 11) of tracks that were seen once, with these shapes."""
     memory = np.zeros((len(shape), len(MEMORY)))
     memory[:, :SHAPE_SPREAD] = shape[:, :SHAPE_SPREAD]
     memory[:, SHAPE_SPREAD:6] = sigma**2 + shape[:, SHAPE_SPREAD:6]
     memory[:, MEMORY.index("reliability")] = shape[:, 6]
     memory[:, MEMORY.index("process_noise")] = 1.0
+    memory[:, MEMORY.index("placed_width")] = np.exp(shape[:, 0])
     return memory
 
 

@@ -200,7 +200,7 @@ def _resolved(
         return took, weights, None
     R = np.empty_like(seen[2])
     complete(seen[2], seen[3], seen[10], rules, R)
-    unseen(x, P, memory, seen[1], seen[3], seen[10], rules, R)
+    unseen(x, P, memory, (seen[1], seen[3], seen[10]), rules, R, None)
     scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
     grouped = regroup(scene, took, settings.max_parts_frames)
     if grouped is None:
