@@ -110,8 +110,8 @@ def _merged(
         before = {i for _, members in found for i in members}
         members = [*owner, *(i for i in lost[near[:, j]].tolist() if i not in before)]
         if len(members) > 1:
-            best = min(_groups(members), key=lambda some: _total(scene, int(j), some, len(members)))
-            if len(best) > 1 and math.isfinite(_total(scene, int(j), best, len(members))):
+            best = min(_groups(members), key=lambda some: _total(scene, int(j), some))
+            if len(best) > 1 and math.isfinite(_total(scene, int(j), best)):
                 found.append((int(j), best))
     return found
 
@@ -133,8 +133,8 @@ def _within(scene: Scene, tracks: Ints, segments: Ints, share: float) -> Ints:
     return near
 
 
-def _total(scene: Scene, j: int, some: tuple[int, ...], count: int) -> float:
-    """Return the cost of segment j showing these tracks, of `count`, together; the others are not seen.
+def _total(scene: Scene, j: int, some: tuple[int, ...]) -> float:
+    """Return the cost of segment j showing these tracks together, beside that of seeing none of them.
 
     Expected: the centroid by their pixels; whose shares may be anything, where one hides another, which spreads it
     along the line between them; width and height from edge to edge. Each of them must make the group wider by more than
@@ -149,7 +149,9 @@ def _total(scene: Scene, j: int, some: tuple[int, ...], count: int) -> float:
     squared = float(off @ np.linalg.solve(S, off))
     if not squared <= scene.gate:
         return math.inf
-    cost = squared + float(np.linalg.slogdet(S).logabsdet) + scene.missed * (count - len(i))
+    cost = squared + float(np.linalg.slogdet(S).logabsdet)
+    hidden = (scene.status[i] == TrackStatus.COASTING) & (scene.memory[i, _GROUP] == 0)
+    cost -= float(np.where(hidden, -2 * math.log(0.9), scene.missed).sum())
     for axis in (1, 2):
         half = np.exp(scene.memory[i, axis - 1]) / 2
         extent = (scene.x[i, axis] + half).max() - (scene.x[i, axis] - half).min()

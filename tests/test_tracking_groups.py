@@ -1,9 +1,9 @@
 """Merges and splits: the compiled kernels do what the plain version does, and the quick look beforehand misses none."""
 
 import numpy as np
-import plain_groups as plain
 import pytest
 
+import plain_groups as plain
 from rangecam.tracking.grouping import concerned
 from rangecam.tracking.groups import regroup
 from rangecam.tracking.settings import TrackingSettings

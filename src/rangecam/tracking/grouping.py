@@ -7,10 +7,12 @@ from numba import njit
 
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
-_TENTATIVE = int(TrackStatus.TENTATIVE)
+_TENTATIVE, _COASTING = int(TrackStatus.TENTATIVE), int(TrackStatus.COASTING)
 _GROUP, _PARTS, _SPREAD = MEMORY.index("merged"), MEMORY.index("parts"), 3
 _STAY = 2 * math.log(9.0)
 """Those who were merged a frame ago are nine times as likely to be so still: a merge lasts ten frames or more."""
+_STAY_HIDDEN = -2 * math.log(0.9)
+"""Cost of not being seen for those who were not a frame ago: whoever is hidden is so for ten frames or more."""
 _REACH = 2.0  # standard deviations of a predicted position
 _MOST = 5  # tracks in one segment of which every part is tried as the group that it shows
 _DEPTH_M = 0.5  # of a segment's depth hardly anything is seen
@@ -46,9 +48,7 @@ def concerned(
 
 
 @njit(cache=True, nogil=True)
-def _near(
-    x: Floats, P: Floats, size: Floats, i: int, share: float, position: Floats, extent: Floats, j: int
-) -> bool:
+def _near(x: Floats, P: Floats, size: Floats, i: int, share: float, position: Floats, extent: Floats, j: int) -> bool:
     """Return whether the predicted centre lies in the segment's box; share: of the track's size beside it."""
     for a in range(3):
         reach = extent[j, a] / 2 + share * size[i, a] + _REACH * math.sqrt(max(P[i, 3 * a, 3 * a], 0.0))
@@ -106,7 +106,7 @@ def _merged(
         least, most = math.inf, 0
         for case in range(1, 2**m if m <= _MOST else m + 2):  # every part of a few, of many each alone and all
             n = _picked(members, m, case, some)
-            cost = _total(tracks, shown, limits, j, some, n, m, room)
+            cost = _total(tracks, shown, limits, j, some, n, room)
             if cost < least:
                 least, most = cost, n
                 for k in range(n):
@@ -132,16 +132,15 @@ def _picked(members: Ints, m: int, case: int, some: Ints) -> int:
 
 @njit(cache=True, nogil=True)
 def _total(
-    tracks: State, shown: Shown, limits: tuple[float, float, float], j: int, some: Ints, n: int, count: int,
-    room: Floats,
+    tracks: State, shown: Shown, limits: tuple[float, float, float], j: int, some: Ints, n: int, room: Floats
 ) -> float:  # fmt: skip
-    """Return the cost of segment j showing the first n of `some`, of `count`; the others are not seen.
+    """Return the cost of segment j showing the first n of `some`, beside that of seeing none of them.
 
     Expected: the centroid by their pixels; whose shares may be anything, where one hides another, which spreads it
     along the line between them; width and height from edge to edge. Each of them must make the group wider by more than
     it is uncertain: whoever is behind the others is hidden, not merged.
     """
-    _, _, n_pixels, _, memory, x, P = tracks
+    status, _, n_pixels, _, memory, x, P = tracks
     position, _, _, R, shape = shown
     S = np.empty((3, 3))
     _mean_of(n_pixels, x, P, R, j, some, n, -1, room, S)
@@ -153,7 +152,10 @@ def _total(
     )
     if not squared <= limits[0] or (n > 1 and not _each_widens(memory, x, P, some, n, room)):
         return math.inf
-    cost = squared + log_determinant + limits[1] * (count - n) - (_STAY if together else 0.0)
+    cost = squared + log_determinant - (_STAY if together else 0.0)
+    for k in range(n):
+        was_hidden = status[some[k]] == _COASTING and memory[some[k], _GROUP] == 0
+        cost -= _STAY_HIDDEN if was_hidden else limits[1]
     for axis in (1, 2):
         low, high, spread, place = math.inf, -math.inf, 0.0, 0.0
         for k in range(n):
