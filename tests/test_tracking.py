@@ -332,12 +332,9 @@ def test_the_squared_distance_of_true_matches_has_mean_three_but_not_with_the_pr
     for unit in (1.0, 100.0):
         sigma = unit * np.array([0.1, 0.3, 0.05])
         off = sigma * rng.standard_normal((4000, 3))
-        tracks = update_tracks(Tracks.empty(), seen([50 * unit, 0, 0], np.diag(sigma**2) / 2), 0.0, PLAIN)
-        wide = dataclasses.replace(PLAIN, gate_probability=1.0)
-        nis = [
-            update_tracks(tracks, seen([50 * unit, 0, 0] + z, np.diag(sigma**2) / 2), 1e-9, wide).nis[0]
-            for z in off[:500]
-        ]
+        place, wide = [50 * unit, 0, 0], dataclasses.replace(PLAIN, gate_probability=1.0, max_position_sigma_m=1e3)
+        tracks = update_tracks(Tracks.empty(), seen(place, np.diag(sigma**2) / 2), 0.0, wide)
+        nis = [update_tracks(tracks, seen(z + place, np.diag(sigma**2) / 2), 1e-9, wide).nis[0] for z in off[:500]]
         assert np.mean(nis) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 500))
         assert abs((off**2 / sigma).sum(axis=1).mean() - 3.0) > 1.0
 
