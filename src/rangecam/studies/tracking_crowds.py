@@ -1,6 +1,13 @@
-"""Who is who in a crowd: people who hide each other, merge and part, beside nearest-neighbour tracking and peers."""
+"""Who is who in a crowd: people who hide each other, merge and part, beside nearest-neighbour tracking and peers.
 
+All see the same segments. Gate, distance, patience (frames without a segment) and noise of each were chosen on six runs
+of each scene from other random numbers than those of the study, for the fewest switches, over small grids.
+"""
+
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,54 +21,79 @@ from rangecam.tracking import TrackingSettings, update_tracks
 from rangecam.types import Tracks, TrackStatus
 
 _OURS = TrackingSettings(
-    motion=MotionSettings(model="constant_velocity", velocity_drift_mps=1.0, vertical_share=0.2),
+    motion=MotionSettings(model="constant_velocity", velocity_drift_mps=0.5, vertical_share=0.2),
+    gate_probability=1 - 1e-7,
     speed_sigma_mps=1.5,
-    max_misses=30,
+    max_misses=45,
 )
-_NEAREST = replace(_OURS, association="greedy", use_shape=False, recognise_merges=False)
+_TOLD = replace(
+    _OURS, motion=replace(_OURS.motion, velocity_drift_mps=1.0), association="greedy", use_shape=False,
+    recognise_merges=False, max_misses=30,
+)  # fmt: skip
 WAYS = {
     "rangecam": _OURS,
-    "rangecam, joint": replace(_OURS, association="joint_probabilistic"),
-    "nearest, told of what is cut": _NEAREST,
-    "nearest": replace(_NEAREST, cut_sigma=0.0),
+    "nearest": replace(_TOLD, cut_sigma=0.0, distance="euclidean", euclidean_gate_m=1.2),
+    "nearest, noise chosen": replace(_TOLD, cut_sigma=0.0, position_sigma_m=0.2),
+    "nearest, told of what is cut": _TOLD,
 }
-"""Settings by name; nearest: the nearest pair first, without shape, merges and splits, all else as ours."""
-_RUNS, _LIMIT_M = 3, 1.0
+"""Settings by name; nearest: the nearest pair first, without shape, merges and splits. It believes the covariances of
+the segments (noise chosen: and 0.2 m more; told: and more where something is cut short)."""
+_RUNS, _LIMIT_M = 10, 1.0
+_WHY = (
+    "at least 5 is asked, surely, that is by one standard deviation of the counts; where twelve hide each other for "
+    "seconds, switches are left of people who turned round unseen, whom no way tells apart"
+)
 
 
 class Score(NamedTuple):
-    """Sum of identity switches, means of GOSPA (m) and HOTA."""
+    """Identity switches a run, means of GOSPA (m) and HOTA, and the number of runs."""
 
-    switches: int
+    switches: float
     gospa_m: float
     hota: float
+    runs: int
 
 
 def tracking_crowds(rng: np.random.Generator) -> Study:
     """Identities in a crowd, of people who meet and part, pass close, and walk behind a pole; beside peers."""
     theirs, claims, panels = installed(), list[Claim](), list[Panel]()
-    switches = dict.fromkeys([*WAYS, *theirs], 0)
+    ways: dict[str, tuple[Callable[[Seen], Tracked], int]] = {
+        name: (partial(tracked, settings=settings), _RUNS) for name, settings in WAYS.items()
+    }
+    ways |= {name: (peer.track, peer.runs) for name, peer in theirs.items()}
+    switches = dict.fromkeys(ways, 0.0)
     for scene, make in CROWDS.items():
         cases = [_case(make(rng), rng) for _ in range(_RUNS)]
-        scores = {name: _score(cases, [tracked(frames, WAYS[name]) for _, frames in cases]) for name in WAYS}
-        scores |= {name: _score(cases, [track(frames) for _, frames in cases]) for name, track in theirs.items()}
-        for name, score in scores.items():
+        for name, (track, runs) in ways.items():
+            score = _score(cases[:runs], [track(frames) for _, frames in cases[:runs]])
             switches[name] += score.switches
             of = f"{scene}, {name}"
-            claims.append(derived("K-FUT-06", f"{of}: identity switches in {_RUNS} runs", score.switches, ""))
+            claims.append(derived("K-FUT-06", f"{of}: identity switches a run, of {runs}", score.switches, ""))
             claims.append(derived("K-FUT-06", f"{of}: GOSPA", score.gospa_m, "m"))
             claims.append(derived("K-FUT-06", f"{of}: HOTA", score.hota, ""))
         way = cases[0][0].place_m[:, cases[0][0].walks]
         shown = [Series("", way[:, k, 0], way[:, k, 1]) for k in range(way.shape[1])]
         panels.append(Panel(scene, "x / m", "y / m", shown))
-    ratio, why = switches["nearest"] / max(switches["rangecam"], 1), "at least 5 is asked, on the same segments"
-    text = "all scenes: switches of nearest-neighbour tracking over ours"
-    claims.append(judged("K-FUT-06", text, None, ratio, "", ratio >= 5, why))
-    for name in switches:
-        claims.append(derived("K-FUT-06", f"all scenes, {name}: identity switches", switches[name], ""))
+    claims += _compared(switches)
     for name in sorted(PEERS.keys() - theirs.keys()):
-        claims.append(derived("K-FUT-06", f"{name}: compared runs (pip install --no-deps {PEERS[name][0]})", 0, ""))
+        text = f"{name}: compared runs (pip install --no-deps {PEERS[name].package})"
+        claims.append(derived("K-FUT-06", text, 0, ""))
     return Study("tracking-crowds", "König 2008, 6.4.2 and 8", claims, panels)
+
+
+def _compared(switches: dict[str, float]) -> list[Claim]:
+    """Return the claims about all scenes: switches of each way, and those of others over ours."""
+    claims, ours = list[Claim](), max(switches["rangecam"], 1 / _RUNS)
+    for name, count in switches.items():
+        claims.append(derived("K-FUT-06", f"all scenes, {name}: identity switches in a run of each", count, ""))
+        ratio, text = count / ours, f"all scenes: switches of {name} over ours"
+        if name.startswith("nearest"):
+            sigma = ratio * math.sqrt(1 / (ours * _RUNS) + 1 / max(count * _RUNS, 1))
+            claims.append(judged("K-FUT-06", text, None, ratio, "", ratio - sigma >= 5, _WHY))
+            claims.append(derived("K-FUT-06", "... its standard deviation", sigma, ""))
+        elif name != "rangecam":
+            claims.append(derived("K-FUT-06", text, ratio, ""))
+    return claims
 
 
 def _case(bodies: Bodies, rng: np.random.Generator) -> tuple[Bodies, Seen]:
@@ -80,9 +112,9 @@ def tracked(frames: Seen, settings: TrackingSettings) -> Tracked:
 
 def _score(cases: list[tuple[Bodies, Seen]], results: list[Tracked]) -> Score:
     runs = [_moments(bodies, result) for (bodies, _), result in zip(cases, results, strict=True)]
-    switches = sum(clear_mot(run, _LIMIT_M).switches for run in runs)
+    switches = sum(clear_mot(run, _LIMIT_M).switches for run in runs) / len(runs)
     mean = float(np.mean([gospa(frame, _LIMIT_M).total for run in runs for frame in run]))
-    return Score(switches, mean, float(np.mean([hota(run, _LIMIT_M).hota for run in runs])))
+    return Score(switches, mean, float(np.mean([hota(run, _LIMIT_M).hota for run in runs])), len(runs))
 
 
 def _moments(bodies: Bodies, result: Tracked) -> list[Moment]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def norfair_tracks(frames: Seen) -> Tracked:
     from norfair import Detection, Tracker
 
     tracker: Any = Tracker(
-        distance_function="euclidean", distance_threshold=0.6, hit_counter_max=20, initialization_delay=3
+        distance_function="euclidean", distance_threshold=0.9, hit_counter_max=20, initialization_delay=3
     )
     result: Tracked = []
     for _, segments in frames:
@@ -44,7 +44,7 @@ def stone_soup_tracks(frames: Seen) -> Tracked:
     from stonesoup.updater.kalman import KalmanUpdater
 
     motion: Any = CombinedLinearGaussianTransitionModel([ConstantVelocity(1.0), ConstantVelocity(1.0)])
-    noise: Any = LinearGaussian(4, (0, 2), np.eye(2) * 0.04**2)
+    noise: Any = LinearGaussian(4, (0, 2), np.eye(2) * 0.1**2)
     predictor: Any = KalmanPredictor(motion)
     updater: Any = KalmanUpdater(noise)
     pairing: Any = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=4))
@@ -71,13 +71,21 @@ def stone_soup_tracks(frames: Seen) -> Tracked:
     return result
 
 
-PEERS: dict[str, tuple[str, Callable[[Seen], Tracked]]] = {
-    "norfair": ("norfair", norfair_tracks),
-    "Stone Soup": ("stonesoup", stone_soup_tracks),
+class Peer(NamedTuple):
+    """A tracker that is not ours: its package, what makes tracks of segments, and how many runs of a scene it gets."""
+
+    package: str
+    track: Callable[[Seen], Tracked]
+    runs: int
+
+
+PEERS = {
+    "norfair": Peer("norfair", norfair_tracks, 5),
+    "Stone Soup": Peer("stonesoup", stone_soup_tracks, 1),  # takes a hundred times as long as the others
 }
-"""Peers by name: the package, and what makes tracks of segments."""
+"""Peers by name."""
 
 
-def installed() -> dict[str, Callable[[Seen], Tracked]]:
+def installed() -> dict[str, Peer]:
     """Return the peers that are installed."""
-    return {name: function for name, (package, function) in PEERS.items() if find_spec(package) is not None}
+    return {name: peer for name, peer in PEERS.items() if find_spec(peer.package) is not None}

@@ -66,5 +66,6 @@ ASSOCIATION: dict[str, Callable[[Floats, Floats], Ints]] = {
 }
 """Association methods by name: (cost of each pairing, priority of each track) -> segment of each track.
 
+Only by_age looks at more of the priorities than how many there are.
 Asked only where tracks or segments compete: every method takes a pairing in the gate that nothing competes with.
 """

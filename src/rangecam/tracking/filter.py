@@ -18,12 +18,13 @@ WHOLE, PAIRING, PAIRED = 0, 1, 2
 RULES = (
     *("gate", "common", "extent", "time_variance", "weight", "vertical", "confirm_hits", "confirm_frames"),
     *("max_misses", "max_misses_vru", "max_misses_vehicle", "max_misses_obstacle", "max_variance"),
-    *("euclidean", "adapt_s", "adapt_limit", "cut"),
+    *("euclidean", "adapt_s", "adapt_limit", "cut", "max_parts"),
 )
 """What the kernels are told by the settings, as one array: largest squared distance, variance of every position, of the
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise;
-variance of the centroid of what is cut short, as a share of the squared size."""
+variance of the centroid of what is cut short, as a share of the squared size; frames in parts after which they are no
+longer one."""
 _SPREAD, _NOISE = 3, 7  # columns of MEMORY
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]

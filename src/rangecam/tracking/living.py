@@ -59,7 +59,7 @@ def live(
     none, how many segments are not finite.
     """
     seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut
-    _reshape(took, (shape, near_offset, n_pixels, memory), seen, rules[4], (counts[4], new_shape, means, new_memory))
+    _reshape(took, (shape, near_offset, n_pixels, memory), seen, rules, (counts[4], new_shape, means, new_memory))
     _adapt(nis, dt_s, rules, new_memory)
     ended = _count(took, pixels, (status, age, hits, misses, class_probability), P, rules, counts)
     left, taken, lost = left_over(took, position, covariance, size, np.empty(len(position), np.int64)), 0, 0
@@ -69,24 +69,6 @@ def live(
         elif status[i] != _TENTATIVE:
             lost += 1
     return ended, left, lost, len(position) - left - taken
-
-
-@njit(cache=True, nogil=True)
-def hidden(took: Ints, status: Ints, x: Floats, P: Floats, position: Floats, size: Floats) -> bool:
-    """Return whether the predicted centre of a lost track lies in the box of a segment, within two standard deviations.
-
-    Lost: it took none and is not tentative. Of a segment's depth hardly anything is seen, so half a metre of it is
-    allowed for.
-    """
-    for i in range(took.size):
-        for j in range(len(position) if took[i] < 0 and status[i] != _TENTATIVE else 0):
-            inside = True
-            for a in range(3):
-                reach = size[j, a] / 2 + 2 * math.sqrt(max(P[i, 3 * a, 3 * a], 0.0)) + (0.5 if a == 0 else 0.0)
-                inside = inside and abs(x[i, 3 * a] - position[j, a]) <= reach
-            if inside:
-                return True
-    return False
 
 
 @njit(cache=True, nogil=True)
@@ -153,13 +135,15 @@ def _reshape(
     took: Ints,
     old: tuple[Floats, Floats, Floats, Floats],
     seen: tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints],
-    weight: float,
+    rules: Floats,
     new: tuple[Ints, Floats, Floats, Floats],
 ) -> None:
     """Write the label of the segment each track took, and the running means of size, nearest point, pixels, shape.
 
-    What is cut short says only how large the object is at least.
+    What is cut short says only how large the object is at least. While tracks compete, the counts of frames in parts
+    stay of those that are no longer one.
     """
+    weight, max_parts = rules[4], rules[17]
     label, position, size, near, pixels, box, range_m, amplitude, sigma, cut = seen
     new_label, new_size, means, memory = new
     shape = np.empty((len(label), 7))
@@ -171,7 +155,7 @@ def _reshape(
             new_size[i, a] = old[0][i, a]
         for a in range(_GROUP):
             memory[i, a] = old[3][i, a]
-        memory[i, _GROUP], memory[i, _PARTS] = 0.0, 0.0
+        memory[i, _GROUP], memory[i, _PARTS] = 0.0, old[3][i, _PARTS] if old[3][i, _PARTS] >= max_parts else 0.0
         if j >= 0 and pixels[j] > 0:
             means[0, i] += weight * (position[j, 0] - near[j] - old[1][i])
             means[1, i] += weight * (pixels[j] - old[2][i])

@@ -3,8 +3,10 @@
 import math
 
 import numpy as np
+from numba import njit
 
-from rangecam.tracking.filter import Seen
+from rangecam.tracking.association import NO_PAIR
+from rangecam.tracking.filter import ACROSS, UP, Seen
 from rangecam.tracking.living import describe
 from rangecam.types import MEMORY, Floats, Ints, Tracks
 
@@ -17,20 +19,6 @@ def shapes(seen: Seen) -> Floats:
     shape = np.empty((len(seen[0]), 7))
     describe(seen[3], seen[5], *seen[6:], shape)
     return shape
-
-
-def shape_cost(memory: Floats, shape: Floats) -> Floats:
-    """Return what a shape adds to the cost of a pairing: memory (..., 11) of the track, shape (..., 7) of the segment.
-
-    Twice the negative logarithm of how much likelier it is among the track's own shapes than among any: each logarithm
-    is normal about the track's mean, with its own running variance and that of the segment's pixels; those of other
-    objects spread by a factor of e about it. So a shape counts as much as track and pixels let it: that of a few pixels
-    hardly at all.
-    """
-    variance = memory[..., SHAPE_SPREAD:6] + shape[..., SHAPE_SPREAD:6]
-    apart = memory[..., :SHAPE_SPREAD] - shape[..., :SHAPE_SPREAD]
-    cost: Floats = (apart**2 / variance + np.log(variance)).sum(axis=-1)
-    return cost
 
 
 def first_memory(shape: Floats, sigma: float) -> Floats:
@@ -65,9 +53,28 @@ def memory_of(tracks: Tracks, sigma: float) -> Floats:
     return first_memory(shape, sigma)
 
 
-def pair_shapes(cost: Floats, memory: Floats, shape: Floats, inside: tuple[Ints, Ints]) -> Floats:
-    """Return the costs (N, M) of the pairings with those of the shapes, where they are in the gate."""
-    rows, columns = inside
-    together = cost.copy()
-    together[rows, columns] += shape_cost(memory[rows], shape[columns])
+def pair_shapes(cost: Floats, memory: Floats, shape: Floats, cut: Ints) -> Floats:
+    """Return the costs (N, M) of the pairings with those of the shapes, where they are in the gate.
+
+    Twice the negative logarithm of how much likelier a shape (M, 7) is among the track's own (its memory (N, 11)) than
+    among any: each logarithm is normal about the track's mean, with its own running variance and that of the segment's
+    pixels; those of other objects spread by a factor of e about it. So a shape counts as much as track and pixels let
+    it: that of a few pixels hardly at all. Of what is cut short anything may be missing: that it is narrower, or lower,
+    than the track speaks neither for the track nor against it.
+    """
+    together = np.empty_like(cost)
+    _add_shapes(cost, memory, shape, cut, together)
     return together
+
+
+@njit(cache=True, nogil=True)
+def _add_shapes(cost: Floats, memory: Floats, shape: Floats, cut: Ints, together: Floats) -> None:
+    for i in range(cost.shape[0]):
+        for j in range(cost.shape[1]):
+            together[i, j] = cost[i, j]
+            for a in range(SHAPE_SPREAD if cost[i, j] < NO_PAIR else 0):
+                variance = memory[i, SHAPE_SPREAD + a] + shape[j, SHAPE_SPREAD + a]
+                apart = memory[i, a] - shape[j, a]
+                if a < 2 and cut[j] & (ACROSS if a == 0 else UP) != 0:
+                    apart = min(apart, 0.0)
+                together[i, j] += apart * apart / variance + math.log(variance)

@@ -10,16 +10,17 @@ from scipy.special import chdtri
 
 from rangecam.errors import DataError
 from rangecam.motion import MOTION, TURNS, MotionSettings, mode_switching
-from rangecam.tracking.association import ASSOCIATION, NO_PAIR, priorities
+from rangecam.tracking.association import ASSOCIATION, priorities
 from rangecam.tracking.filter import PAIRED, PAIRING, RULES, WHOLE, Seen, advance, advance_modes, complete, unseen
-from rangecam.tracking.groups import Grouped, lasting_parts, regroup, scene_of
+from rangecam.tracking.grouping import concerned
+from rangecam.tracking.groups import Grouped, regroup
 from rangecam.tracking.joint import marginals
 from rangecam.tracking.life import delete, initiate
-from rangecam.tracking.living import hidden, live
+from rangecam.tracking.living import live
 from rangecam.tracking.own_motion import carried
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import memory_of, pair_shapes, shapes
-from rangecam.types import MEMORY, Ego, Floats, Ints, Refused, Segments, Tracks, TrackStatus
+from rangecam.types import MEMORY, Ego, Floats, Ints, Refused, Segments, Tracks
 
 _FLOAT, _INT, _BYTE = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint8)
 _STANDING: Floats = np.zeros(2)
@@ -153,10 +154,12 @@ def _associated(
     done, grouped, shared = step(seen, took, None, WHOLE), None, False
     if done:
         ended, left, lost, ignored = lived(seen, took)
-        shared = settings.recognise_merges and bool(
-            (left and (tracks.status != TrackStatus.TENTATIVE).any())
-            or (lost and hidden(took, tracks.status, written[3], written[4], seen[1], seen[3]))
-        )
+        if settings.recognise_merges and (left or lost):
+            # fmt: off
+            shared = concerned(
+                tracks.status, tracks.size_m, memory, written[3], written[4], seen[1], seen[3], took, rules[17]
+            )
+            # fmt: on
     if not done or shared:
         took, weights, grouped = _resolved(step, tracks, written, arrays, (seen, done), rules, settings)
         seen = seen if grouped is None else grouped.seen
@@ -165,8 +168,6 @@ def _associated(
         if grouped is not None:
             new_memory[:, _GROUP], new_memory[:, _PARTS] = grouped.group, grouped.parts
             ignored -= int(grouped.used.sum())
-        else:
-            new_memory[:, _PARTS] = lasting_parts(memory, settings.max_parts_frames)
     return _followed(tracks, written, (counts, means, shape, new_memory), state, ignored), seen, took, ended, left
 
 
@@ -189,9 +190,9 @@ def _resolved(
         step(seen, took, None, PAIRING)
     else:
         if settings.use_shape:
-            rows, columns = np.nonzero(cost < NO_PAIR)
-            cost = pair_shapes(cost, memory, shape, (rows, columns))
-        priority = priorities(tracks.age, tracks.n_pixels, memory)
+            cost = pair_shapes(cost, memory, shape, seen[10])
+        wanted = settings.association == "by_age"
+        priority = priorities(tracks.age, tracks.n_pixels, memory) if wanted else tracks.n_pixels
         took = ASSOCIATION[settings.association](cost, priority)
         if settings.association == "joint_probabilistic":
             gate, density = settings.gate_probability, settings.clutter_density_per_m3
@@ -201,8 +202,7 @@ def _resolved(
     R = np.empty_like(seen[2])
     complete(seen[2], seen[3], seen[10], rules, R)
     unseen(x, P, memory, (seen[1], seen[3], seen[10]), rules, R, None)
-    scene = scene_of(tracks, memory, (x, P), (seen, shape), R, rules[0], settings)
-    grouped = regroup(scene, took, settings.max_parts_frames)
+    grouped = regroup(tracks, memory, (x, P), (seen, R, shape), took, rules[0], settings)
     if grouped is None:
         return took, weights, None
     if weights is not None:
@@ -302,6 +302,7 @@ def _constants(settings: TrackingSettings) -> Floats:
         "adapt_s": motion.adapt_s,
         "adapt_limit": motion.adapt_limit,
         "cut": settings.cut_sigma**2,
+        "max_parts": settings.max_parts_frames,
     }
     return np.array([float(rules[name]) for name in RULES])
 
