@@ -24,7 +24,7 @@ def train(
 ) -> None:
     """Train the classifier on simulated drives and write MODEL, then score it, or the one that ships, on others.
 
-    As a whole it takes some five minutes on two cores. Resolved: at 2 to 15 m, at least 4 by 4 pixels, not cut short
+    As a whole it takes some six minutes on two cores. Resolved: at 2 to 15 m, at least 4 by 4 pixels, not cut short
     beside, not in pieces. Right of all counts what stays unknown as wrong.
     """
     from rangecam.classify.learned import load_model, save_model

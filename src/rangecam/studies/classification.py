@@ -27,7 +27,7 @@ from rangecam.training.score import (
 )
 from rangecam.types import CLASSES, Floats
 
-_ASKED = {"CW": (40, 0.97), "pulsed": (80, 0.90)}
+_ASKED = {"CW": (30, 0.97), "pulsed": (60, 0.90)}
 """Drives of each sensor, and the share of what is resolved that ought to be taken for what it is."""
 _BINS_M = np.array([2.0, 5.0, 8.0, 11.0, 15.0])
 _RESOLVED = (

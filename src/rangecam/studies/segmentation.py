@@ -23,7 +23,7 @@ _SECTIONS = {"region_growing": "K-SEG-03", "range_histogram": "S-SEG-04"}  # the
 _GAPS_M = (0.1, 0.2, 0.4, 0.8)
 _WALLS_M = (0.3, 0.6, 1.2, 2.4)
 _INCIDENCE_DEG = (30.0, 50.0, 70.0)
-_READ_NOISE_LSB = (2.0, 20.0, 60.0)
+_READ_NOISE_LSB = (2.0, 15.0, 30.0)
 _PART = 0.1  # of the pixels of an object: less of it in a segment is the noise of an edge
 _LEAST_PIXELS = 8
 
