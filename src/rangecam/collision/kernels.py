@@ -412,7 +412,8 @@ def _chances(
     sigma = max(sigma, 1e-12)
     half = outline[1 - k]
     here, there = u + _at(0.0, w, b, first), u + _at(0.0, w, b, last)
-    cut = outline[2] * (abs(w) / abs(v) + 1 - math.hypot(1.0, w / v)) if outline[2] > 0 and v != 0 else 0.0
+    across = min(abs(w / v), 1e9) if v != 0 else 0.0  # infinite, it would be less than itself
+    cut = outline[2] * (across + 1 - math.hypot(1.0, across)) if outline[2] > 0 and v != 0 else 0.0
     beyond, before = 1 - _normal((half - here) / sigma), _normal((-half - here) / sigma)
     stays_beyond = min(1 - _normal((half - cut - min(here, there)) / sigma), 1.0)
     stays_before = _normal((-half + cut - max(here, there)) / sigma)
