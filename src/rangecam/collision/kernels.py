@@ -429,7 +429,8 @@ def _chances(
     """
     here, sigma, there, later, common, w = free
     half = outline[1 - k]
-    cut = outline[2] * (w / abs(v) + 1 - math.hypot(1.0, w / v)) if outline[2] > 0 and v != 0 else 0.0
+    across = min(abs(w / v), 1e9) if v != 0 else 0.0  # infinite, it would be less than itself
+    cut = outline[2] * (across + 1 - math.hypot(1.0, across)) if outline[2] > 0 and v != 0 else 0.0
     beyond, before = _normal((here - half) / sigma), _normal((-half - here) / sigma)
     edge = half - cut
     stays_beyond = _both_above((edge - here) / sigma, (edge - there) / later, common)

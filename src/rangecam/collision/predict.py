@@ -88,7 +88,10 @@ def look_ahead(
 
 def _width(tracks: Tracks) -> Floats:
     """Return the width (N,) m whose middle the position of each track is: without what is hidden."""
-    return tracks.size_m[:, 1] if tracks.memory is None else tracks.memory[:, _PLACED]
+    memory = tracks.memory
+    if memory is None or len(memory) != len(tracks.age):
+        return tracks.size_m[:, 1]
+    return memory[:, _PLACED]
 
 
 _PLACED = MEMORY.index("placed_width")
