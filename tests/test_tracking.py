@@ -325,6 +325,35 @@ def test_the_gate_refuses_as_many_true_measurements_as_it_says(rng: np.random.Ge
     assert accepted / (10 * n) == pytest.approx(0.9, abs=4 * sigma)
 
 
+def test_the_squared_distance_of_true_matches_has_mean_three_but_not_with_the_printed_weights(
+    rng: np.random.Generator,
+) -> None:
+    # E-K-20: eq 6.15 prints 1 / sigma on the diagonal of the inverse covariance; in centimetres or metres
+    for unit in (1.0, 100.0):
+        sigma = unit * np.array([0.1, 0.3, 0.05])
+        off = sigma * rng.standard_normal((4000, 3))
+        place, wide = [50 * unit, 0, 0], dataclasses.replace(PLAIN, gate_probability=1.0, max_position_sigma_m=1e3)
+        tracks = update_tracks(Tracks.empty(), seen(place, np.diag(sigma**2) / 2), 0.0, wide)
+        nis = [update_tracks(tracks, seen(z + place, np.diag(sigma**2) / 2), 1e-9, wide).nis[0] for z in off[:500]]
+        assert np.mean(nis) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 500))
+        assert abs((off**2 / sigma).sum(axis=1).mean() - 3.0) > 1.0
+
+
+def test_the_printed_measurement_matrix_cannot_see_two_of_the_three_axes() -> None:
+    # E-K-21: eq 6.23 picks states 1, 2 and 3; observable are those of which H F^k tells, k = 0 to 8
+    F = np.kron(np.eye(3), MOTION["constant_acceleration"](0.02, PLAIN.motion)[0])
+
+    def rank(H: np.ndarray) -> int:
+        rows = np.concatenate([H @ np.linalg.matrix_power(F, 10 * k) for k in range(9)])
+        return int(np.linalg.matrix_rank(rows))
+
+    assert rank(H) == 9
+    assert rank(np.eye(9)[:3]) == 3
+    # so with H of a person who steps aside the tracker sees the step
+    last = follow([seen([5, 0, 0])] * 5 + [seen([5, 0.5, 0.3])] * 40)[-1]
+    np.testing.assert_allclose(last.state[0, POSITION], [5, 0.5, 0.3], atol=0.05)
+
+
 def test_the_edge_of_the_gate_is_an_ellipsoid_of_the_innovation_covariance() -> None:
     tracks = update_tracks(Tracks.empty(), seen([5, 0, 0], np.diag([0.01, 0.04, 0.01])), 0.0, PLAIN)
     radius = np.sqrt(gate_threshold(0.999))

@@ -16,6 +16,8 @@ from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR, priorities
 from rangecam.tracking.filter import turning
 from rangecam.tracking.joint import by_belief_propagation, marginals, of_cluster
+from rangecam.tracking.shape import first_memory, pair_shapes, shapes
+from rangecam.tracking.update import _seen_in
 from rangecam.types import CLASSES, MEMORY, Cut, Ego, Segments, Tracks, TrackStatus
 
 PLAIN = TrackingSettings(position_sigma_m=0.0, extent_sigma=0.0)
@@ -188,6 +190,18 @@ def test_shape_tells_apart_who_cannot_be_told_apart_by_place() -> None:
         settings = dataclasses.replace(PLAIN, use_shape=use_shape, speed_sigma_mps=1.0)
         last[use_shape] = update_tracks(follow([apart] * 8, settings)[-1], swapped, 0.6, settings).segment.tolist()
     assert last == {True: [2, 1], False: [1, 2]}
+
+
+def test_a_sliver_beside_what_hides_the_rest_is_not_held_against_its_track() -> None:
+    wide = first_memory(shapes(_seen_in(seen([8, 0, 0.9], width=0.6))), 0.05)
+    added = {}
+    for cut in (0, int(Cut.OCCLUDED)):
+        sliver, wider = (_seen_in(seen([8, 0, 0.9], width=w, cut=cut)) for w in (0.1, 1.2))
+        added[cut] = [float(pair_shapes(np.zeros((1, 1)), wide, shapes(s), s[10])[0, 0]) for s in (sliver, wider)]
+    assert added[0][0] > added[int(Cut.OCCLUDED)][0] + 10
+    assert added[int(Cut.OCCLUDED)][1] > added[int(Cut.OCCLUDED)][0]  # more than all of it cannot be seen
+    outside = np.full((1, 1), NO_PAIR)
+    assert pair_shapes(outside, wide, shapes(sliver), sliver[10])[0, 0] == NO_PAIR
 
 
 # -- merges and splits ------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ def norfair_tracks(frames: Seen) -> Tracked:
     from norfair import Detection, Tracker
 
     tracker: Any = Tracker(
-        distance_function="euclidean", distance_threshold=0.6, hit_counter_max=20, initialization_delay=3
+        distance_function="euclidean", distance_threshold=0.9, hit_counter_max=20, initialization_delay=3
     )
     result: Tracked = []
     for _, segments in frames:
@@ -44,7 +44,7 @@ def stone_soup_tracks(frames: Seen) -> Tracked:
     from stonesoup.updater.kalman import KalmanUpdater
 
     motion: Any = CombinedLinearGaussianTransitionModel([ConstantVelocity(1.0), ConstantVelocity(1.0)])
-    noise: Any = LinearGaussian(4, (0, 2), np.eye(2) * 0.04**2)
+    noise: Any = LinearGaussian(4, (0, 2), np.eye(2) * 0.1**2)
     predictor: Any = KalmanPredictor(motion)
     updater: Any = KalmanUpdater(noise)
     pairing: Any = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=4))
@@ -80,8 +80,8 @@ class Peer(NamedTuple):
 
 
 PEERS = {
-    "norfair": Peer("norfair", norfair_tracks, 10),
-    "Stone Soup": Peer("stonesoup", stone_soup_tracks, 1),  # takes a hundred times as long as the others
+    "norfair": Peer("norfair", norfair_tracks, 3),
+    "Stone Soup": Peer("stonesoup", stone_soup_tracks, 1),  # a hundred times as long as ours
 }
 """Peers by name."""
 

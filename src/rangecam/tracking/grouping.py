@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
@@ -83,7 +84,13 @@ def search(
 
 @njit(cache=True, nogil=True)
 def _merged(
-    tracks: State, shown: Shown, limits: tuple[float, float, float], took: Ints, owner: Ints, free: Ints, mate_of: Ints
+    tracks: State,
+    shown: Shown,
+    limits: tuple[float, float, float],
+    took: Ints,
+    owner: Ints,
+    free: NDArray[np.bool_],
+    mate_of: Ints,
 ) -> int:
     """Find the segments that show several tracks, none of them elsewhere, together of its size.
 
@@ -246,8 +253,8 @@ def _covered(room: Floats, n: int, without: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _split(
-    tracks: State, shown: Shown, limits: tuple[float, float, float], took: Ints, owner: Ints, free: Ints, mate_of: Ints,
-    part_of: Ints,
+    tracks: State, shown: Shown, limits: tuple[float, float, float], took: Ints, owner: Ints,
+    free: NDArray[np.bool_], mate_of: Ints, part_of: Ints,
 ) -> int:  # fmt: skip
     """Find the tracks seen in parts: segments that together are more like them than any alone."""
     status, _, _, size, memory, x, P = tracks

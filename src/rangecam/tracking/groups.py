@@ -60,10 +60,10 @@ def regroup(
     group, parts = np.zeros(len(took)), memory[:, _PARTS]
     parts = np.where(parts >= settings.max_parts_frames, parts, 0.0)
     parts[who] = memory[who, _PARTS] + 1
-    _hold(state, shown, mates, mate_of[mates], whole, group)  # type: ignore[arg-type]
+    _hold(state, shown, mates, mate_of[mates], whole, group)
     for row, some in enumerate(pieces, first):
-        _join(seen, some, whole, row)  # type: ignore[arg-type]
-    return Grouped(whole, took, used, group, parts)  # type: ignore[arg-type]
+        _join(seen, some, whole, row)
+    return Grouped(whole, took, used, group, parts)
 
 
 def _hold(state: State, shown: Shown, mates: Ints, segment: Ints, whole: Seen, group: Floats) -> None:

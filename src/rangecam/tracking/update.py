@@ -191,7 +191,8 @@ def _resolved(
     else:
         if settings.use_shape:
             cost = pair_shapes(cost, memory, shape, seen[10])
-        priority = priorities(tracks.age, tracks.n_pixels, memory) if settings.association == "by_age" else tracks.age
+        wanted = settings.association == "by_age"
+        priority = priorities(tracks.age, tracks.n_pixels, memory) if wanted else tracks.n_pixels
         took = ASSOCIATION[settings.association](cost, priority)
         if settings.association == "joint_probabilistic":
             gate, density = settings.gate_probability, settings.clutter_density_per_m3
