@@ -80,8 +80,8 @@ class Peer(NamedTuple):
 
 
 PEERS = {
-    "norfair": Peer("norfair", norfair_tracks, 5),
-    "Stone Soup": Peer("stonesoup", stone_soup_tracks, 1),  # takes a hundred times as long as the others
+    "norfair": Peer("norfair", norfair_tracks, 3),
+    "Stone Soup": Peer("stonesoup", stone_soup_tracks, 1),  # a hundred times as long as ours
 }
 """Peers by name."""
 
