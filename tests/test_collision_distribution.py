@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
@@ -247,6 +247,7 @@ ANY = st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1e-300, -1e-300, 1e9])
 
 
 @hypothesis_settings(deadline=None)
+@example([-318.4470064766315, 1e9, 0.0, 0.0, 0.0, 0.0], 0.0, 0.0, False)
 @given(st.lists(ANY, min_size=6, max_size=6), st.sampled_from([0.0, 1e-20, 1.0, 1e6]), ANY, st.booleans())
 def test_whatever_the_track_is_what_is_said_of_it_is_possible(
     state: list[float], variance: float, yaw_rate: float, use_acceleration: bool

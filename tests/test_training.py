@@ -130,4 +130,4 @@ def test_what_is_not_resolved_must_be_surer_to_be_no_unknown():
         said = told(poor, model)
         most = said[:, 1:].max(axis=1) / said[:, 1:].sum(axis=1)
         assert ((said.argmax(axis=1) == 0) == (most < 0.85)).all()
-        assert 0.1 < (said.argmax(axis=1) == 0).mean() < 0.9
+        assert 0.1 < (said.argmax(axis=1) == 0).mean() < 0.99

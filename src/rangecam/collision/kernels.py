@@ -207,7 +207,8 @@ def _quantiles(
 def arrival_quantile(d: float, v: float, variance: tuple[float, float, float], z: float) -> float:
     """Return t with Phi(-(d + v t) / s(t)) = Phi(z), s(t)^2 the variance of d + v t; inf where it never gets there.
 
-    d + v t = -z s(t), squared, is a quadratic equation; of its roots, that with the sign of -z on the left counts.
+    d + v t = -z s(t), squared, is a quadratic equation; of its roots, that with the sign of -z on the left counts. Its
+    discriminant is written so that what is alike in b^2 and a c, which is almost all where s is small, is not subtracted.
     """
     dd, dv, vv = variance
     if d + z * math.sqrt(max(dd, 0.0)) <= 0:  # already here
@@ -215,14 +216,15 @@ def arrival_quantile(d: float, v: float, variance: tuple[float, float, float], z
     a, b, c = v * v - z * z * vv, d * v - z * z * dv, d * d - z * z * dd
     if z == 0:
         return -d / v if v < -_NEVER * d else math.inf
-    discriminant = b * b - a * c
+    discriminant = z * z * (v * v * dd + d * d * vv - 2 * d * v * dv - z * z * max(dd * vv - dv * dv, 0.0))
     if discriminant < 0:
         return math.inf
     root = math.sqrt(discriminant)
     q = -b - root if b > 0 else -b + root  # both roots without cancellation
     best = math.inf
     for t in (q / a if a != 0 else math.inf, c / q if q != 0 else math.inf):
-        if 0 <= t < best and (d + v * t) * z <= 0 and t < 1 / _NEVER:
+        rounding = 1e-12 * abs(z) * (abs(d) + abs(v * t))
+        if 0 <= t < best and (d + v * t) * z <= rounding and t < 1 / _NEVER:
             best = t
     return best
 
