@@ -208,7 +208,7 @@ def arrival_quantile(d: float, v: float, variance: tuple[float, float, float], z
     """Return t with Phi(-(d + v t) / s(t)) = Phi(z), s(t)^2 the variance of d + v t; inf where it never gets there.
 
     d + v t = -z s(t), squared, is a quadratic equation; of its roots, that with the sign of -z on the left counts. Its
-    discriminant is written so that what is alike in b^2 and a c, which is almost all where s is small, is not subtracted.
+    discriminant is written so that what b^2 and a c have in common, almost all where s is small, is not subtracted.
     """
     dd, dv, vv = variance
     if d + z * math.sqrt(max(dd, 0.0)) <= 0:  # already here
