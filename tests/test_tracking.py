@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import typing
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from rangecam.errors import DataError
 from rangecam.motion import MOTION, TURNS, Mode, MotionSettings, mode_switching
+from rangecam.studies.study import Study
 from rangecam.studies.tracking_models import tracking_models
 from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR
@@ -563,15 +565,20 @@ def test_integer_and_single_precision_segments_are_welcome() -> None:
 # -- quality ----------------------------------------------------------------------------------------------------------
 
 
+@cache
+def another_study_of_models() -> Study:
+    return tracking_models(np.random.default_rng(3))
+
+
 def test_the_interacting_model_is_as_good_as_is_asked_and_honest_about_it() -> None:
-    study = tracking_models(np.random.default_rng(3))
+    study = another_study_of_models()
     asked = [claim for claim in study.claims if claim.agrees is not None]
     assert len(asked) == 4
     assert all(claim.agrees for claim in asked), [claim for claim in asked if not claim.agrees]
 
 
 def test_on_a_braking_car_the_models_stand_in_the_order_of_their_flexibility() -> None:
-    study = tracking_models(np.random.default_rng(4))
+    study = another_study_of_models()
     error = {claim.text: claim.computed for claim in study.claims}
     order = ["interacting", "Singer", "constant acceleration", "constant velocity"]
     errors = [error[f"braking, {name}: of the velocity"] for name in order]

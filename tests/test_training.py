@@ -1,5 +1,7 @@
 """Training: drives of known things, examples of them, trees taken out of the library that grew them, scores."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -64,10 +66,14 @@ def test_trees_taken_out_say_what_the_library_says():
     )
 
 
+@cache
+def fitted():
+    return fit(made_up(4000, np.random.default_rng(2))[0], 1)
+
+
 def test_fitted_probabilities_are_those_of_classes_that_come_alike():
-    rng = np.random.default_rng(2)
-    model = fit(made_up(4000, rng)[0], 1)
-    others, shares = made_up(4000, rng)
+    model = fitted()
+    others, shares = made_up(4000, np.random.default_rng(8))
     alike = shares / shares.mean(axis=0)
     alike /= alike.sum(axis=1, keepdims=True)
     said = probabilities(others.features, model)
@@ -118,7 +124,7 @@ def test_a_score_says_of_all_and_of_what_is_resolved_how_much_is_right():
 
 def test_what_is_not_resolved_must_be_surer_to_be_no_unknown():
     examples, _ = made_up(400, np.random.default_rng(6))
-    model = fit(made_up(2000, np.random.default_rng(7))[0], 1)
+    model = fitted()
     for name, value in (("log_columns", np.log(8)), ("log_rows", np.log(8)), ("cut_beside", 0.0), ("occluded", 0.0)):
         examples.features[:, FEATURES.index(name)] = value
     clear = told(examples, model)
