@@ -80,7 +80,7 @@ def save_model(model: Model, path: Path) -> None:
     small = {"feature": np.int8, "left": np.int16, "right": np.int16, "roots": np.int16}
     arrays = {key: np.asarray(value).astype(small.get(key, np.float32)) for key, value in vars(model).items()}
     with path.open("wb") as file:
-        np.savez_compressed(file, names=np.array(FEATURES), **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, names=np.array(FEATURES), **arrays)  # type: ignore[arg-type]  # none is allow_pickle
 
 
 @lru_cache(maxsize=4)

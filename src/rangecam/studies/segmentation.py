@@ -134,7 +134,7 @@ def _wall(x_m: float, heading_deg: float) -> SceneObject:
 
 def _scene(*things: SceneObject, duration_s: float = 0.1) -> Scenario:
     named = {"name": "segments", "description": "", "preset": "road_cw", "ground_reflectivity": 0.2}
-    return Scenario(**named, duration_s=duration_s, frame_rate_hz=10.0, objects=things)  # type: ignore[arg-type]
+    return Scenario(**named, duration_s=duration_s, frame_rate_hz=10.0, objects=things)  # type: ignore[arg-type]  # all are text
 
 
 def _score(scene: Scenario, noise: float, method: str, seed: int) -> Score:

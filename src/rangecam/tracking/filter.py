@@ -233,7 +233,7 @@ def _correct_modes(
     for k in range(mu.size):
         squared, determinant = _correct(modes[k], spreads[k], z, R, time_variance, room)
         likelihood[k] = -0.5 * (squared + math.log(determinant))
-    best, total = likelihood[_largest(likelihood)], 0.0
+    best, total = likelihood[largest(likelihood)], 0.0
     for k in range(mu.size):
         mu[k] = max(mu[k] * math.exp(likelihood[k] - best), _LEAST_PROBABLE)
         total += mu[k]
@@ -653,7 +653,8 @@ def _correct(x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float, r
 
 
 @njit(cache=True, nogil=True)
-def _largest(values: Floats) -> int:
+def largest(values: Floats) -> int:
+    """Return the index of the largest value, of the first of several."""
     best = 0
     for k in range(1, values.size):
         if values[k] > values[best]:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from rangecam.tracking.filter import ACROSS, UP, one_sided
+from rangecam.tracking.filter import ACROSS, UP, largest, one_sided
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
@@ -92,7 +92,7 @@ def _count(
         age, hits, misses = old[1][i] + 1, old[2][i] + hit, 0 if hit else old[3][i] + (0 if together else 1)
         if old[0][i] != _TENTATIVE:
             fate = _CONFIRMED if hit else _COASTING
-            if fate == _COASTING and misses > rules[8 + _largest(old[4][i])]:
+            if fate == _COASTING and misses > rules[8 + largest(old[4][i])]:
                 fate = GONE
         elif hits >= confirm_hits:
             fate = _CONFIRMED
@@ -104,15 +104,6 @@ def _count(
         new[0, i], new[1, i], new[2, i], new[3, i] = fate, age, hits, misses
         gone += fate == GONE
     return gone
-
-
-@njit(cache=True, nogil=True)
-def _largest(values: Floats) -> int:
-    best = 0
-    for k in range(1, values.size):
-        if values[k] > values[best]:
-            best = k
-    return best
 
 
 @njit(cache=True, nogil=True)

@@ -263,7 +263,7 @@ def _followed(
 def _seen_in(segments: Segments) -> Seen:
     """Return what the tracker uses of the segments, in the types that its kernels are compiled for."""
     values = vars(segments)
-    return tuple(  # type: ignore[return-value]
+    return tuple(  # type: ignore[return-value]  # as long as _USED, which mypy cannot count
         [a if (a := values[name]).dtype is kind else np.asarray(a, kind) for name, kind in _USED]
     )
 

@@ -97,7 +97,7 @@ def _places(given: DriveSettings, rng: Rng) -> list[Place]:
 def _thing(name: str, place: Place, given: DriveSettings, rng: Rng, **more: object) -> SceneObject:
     factor = math.exp(rng.uniform(*np.log(given.reflectivity)))
     path = more.pop("path", None) or Path(start_m=(*place, 0.0))
-    return SceneObject(name=name, path=path, reflectivity_factor=factor, **more)  # type: ignore[arg-type]
+    return SceneObject(name=name, path=path, reflectivity_factor=factor, **more)  # type: ignore[arg-type]  # its fields
 
 
 def _moving(place: Place, speed_mps: float, direction_rad: float, given: DriveSettings) -> Path:
