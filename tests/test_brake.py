@@ -252,6 +252,14 @@ def test_where_nobody_measures_the_own_speed_the_closing_speed_decides() -> None
     assert not decided({"x": 0.1, "vx": -0.5, "pixels": 800.0}).brake  # slow
 
 
+def test_where_the_friction_is_known_it_replaces_that_of_the_settings() -> None:
+    row = {"x": 2.5, "vx": -3.0, "near": 0.2}
+    usual, slippery = (decided(row, ego=Ego(speed_mps=3.0, friction=each)) for each in (None, 0.1))
+    assert usual.stopping_distance_m < slippery.stopping_distance_m
+    told = decided(row, ego=Ego(speed_mps=3.0), friction=0.1, deceleration_mps2=None)
+    assert slippery.stopping_distance_m == told.stopping_distance_m
+
+
 @pytest.mark.parametrize(
     ("row", "ego", "ending"),
     [
