@@ -21,8 +21,8 @@ SOURCE, TESTS = ROOT / "src" / "rangecam", ROOT / "tests"
 TARGETS = {
     "brake.machine": ["test_brake_machine.py", "test_brake_gate.py"],
     "brake.unit": ["test_brake_gate.py", "test_brake_health.py"],
-    "brake.decision": ["test_brake.py"],
-    "brake.rule": ["test_brake.py"],
+    "brake.decision": ["test_brake.py", "test_collision_distribution.py"],
+    "brake.rule": ["test_brake.py", "test_brake_probability.py"],
     "brake.gate": ["test_brake_gate.py"],
     "brake.health": ["test_brake_health.py"],
     "brake.friction": ["test_brake_health.py", "test_brake_gate.py"],
