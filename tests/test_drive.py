@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 from rangecam.brake.friction import FrictionSettings
+from rangecam.brake.gate import CanFrame, Refusal
 from rangecam.brake.health import judge
 from rangecam.brake.machine import Fault as Cause
 from rangecam.brake.unit import BrakeSettings
 from rangecam.cameras.simulated import frame
+from rangecam.can.layout import GIVE_BACK_DATA, MAGIC, MASTER_ID
 from rangecam.config import Config, load_config
 from rangecam.drive import bound, page
 from rangecam.drive.campaigns import trial_of
 from rangecam.drive.contact import impact_speed, nearest
 from rangecam.drive.journey import between, hand_of
 from rangecam.drive.loop import drive
-from rangecam.drive.mind import brake_settings, latency_s
+from rangecam.drive.mind import Mind, brake_settings, latency_s, restarted
 from rangecam.drive.opening import drive_settings, opened
 from rangecam.drive.result import COLUMNS, Drive, as_json, describe
 from rangecam.drive.settings import DriveSettings, Fault
@@ -156,6 +158,14 @@ def test_after_a_stop_on_slippery_ground_the_next_begins_sooner_if_the_brake_ada
     known = [capture.ego.friction for capture in source.captures]
     assert known[0] is None
     assert known[-1] == pytest.approx(0.15, abs=0.05)
+
+
+def test_who_leaves_gives_control_back_and_brakes_no_more() -> None:
+    mind = Mind(coarse(), SETTINGS, 0.0, unit=restarted())
+    assert [frame.data[-2:] for frame in mind.think(1.0)] == [MAGIC]
+    assert mind.leave() == CanFrame(MASTER_ID, GIVE_BACK_DATA)
+    assert mind.think(1.1) == []
+    assert mind.unit.gate.refused == {Refusal.NOT_ARMED: 1}
 
 
 def test_json_and_lines_say_how_it_came_out() -> None:

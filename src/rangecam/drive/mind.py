@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rangecam.brake.friction import cautious
-from rangecam.brake.gate import CanFrame, Gate, arm
+from rangecam.brake.gate import CanFrame, Gate, arm, disarm
 from rangecam.brake.health import Health, judge, perceived
 from rangecam.brake.machine import BrakeState, CarState, Inputs, Mode, Perception
 from rangecam.brake.settings import full_deceleration, on_ground
@@ -124,6 +124,12 @@ class Mind:
             self._brake = brake_settings(self._config, self._settings, self._friction)
         self._ego = self._measured(time_s)
         return [] if frame is None else [frame]
+
+    def leave(self) -> CanFrame:
+        """Return the frame that gives control back now; nothing passes the gate after it."""
+        gate, frame = disarm(self.unit.gate)
+        self.unit = replace(self.unit, gate=gate)
+        return frame
 
     def _measured(self, time_s: float) -> Ego:
         """Return what is known of the own vehicle: the speed that the machine believes, the yaw rate by the wheel."""

@@ -143,7 +143,7 @@ def _moved_on(known_s: float, pose: Pose, time_s: float) -> Pose:
 def perception(job: Job) -> None:
     """Take the stream in, perceive, decide, and send take-overs over the bus; report each frame and a sign of life.
 
-    It starts as a fault and brakes until it has been seen to work.
+    It starts as a fault and brakes until it has been seen to work. When all is over it gives control back.
     """
     _settle()
     config, stale_s = job.config, job.settings.missed_frames / job.config.camera.frame_rate_hz
@@ -178,6 +178,8 @@ def perception(job: Job) -> None:
                 signed_s, state = done_s, mind.unit.state
                 why = {"mode": int(state.mode), "reason": state.cause.reason}
                 _tell(report, job.report_port, {"role": "perception", "time_s": done_s, **why})
+        last = mind.leave()
+        bus.send_frame(last.can_id, last.data)
 
 
 def _receiver(job: Job) -> Receiver:
