@@ -18,15 +18,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SOURCE, TESTS = ROOT / "src" / "rangecam", ROOT / "tests"
+VALUES = "test_brake_values.py"
 TARGETS = {
-    "brake.machine": ["test_brake_machine.py", "test_brake_gate.py"],
-    "brake.unit": ["test_brake_gate.py", "test_brake_health.py"],
+    "brake.machine": [VALUES, "test_brake_machine.py", "test_brake_gate.py"],
+    "brake.unit": [VALUES, "test_brake_gate.py", "test_brake_health.py"],
     "brake.decision": ["test_brake.py", "test_collision_distribution.py"],
     "brake.rule": ["test_brake.py", "test_brake_probability.py"],
-    "brake.gate": ["test_brake_gate.py"],
-    "brake.health": ["test_brake_health.py"],
-    "brake.friction": ["test_brake_health.py", "test_brake_gate.py"],
-    "can.codec": ["test_can.py"],
+    "brake.gate": [VALUES, "test_brake_gate.py"],
+    "brake.health": [VALUES, "test_brake_health.py"],
+    "brake.friction": [VALUES, "test_brake_health.py", "test_brake_gate.py"],
+    "can.codec": [VALUES, "test_can.py"],
 }
 LIMIT_S = 60
 """A mutant that runs longer than this loops, and counts as found."""
