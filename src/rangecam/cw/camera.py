@@ -85,7 +85,9 @@ def _expose(view: Callable[[float], View], exposure: Exposure, middle_s: float) 
     light = collect(view(times_s[0]), camera, exposure.step_deg, times_s[0])
     for at_s in times_s[1:]:
         light += collect(view(at_s), camera, exposure.step_deg, at_s)
-    return scatter(light / np.float32(count), camera.scattering)
+    if count > 1:
+        light /= np.float32(count)
+    return scatter(light, camera.scattering)
 
 
 def _read_out(samples: Floats, light: Floats, deviates: Floats, camera: CwCamera) -> Image:

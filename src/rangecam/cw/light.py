@@ -144,30 +144,59 @@ def _sum_over_rays(
     return result
 
 
+_BLOCK = 512  # pixels at a time, which leave what is known of them in the fastest memory
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def _sum_rays(view: Any, tables: Any, numbers: Any, shift_m: Any, levels: Any, signal: Any, total: Any) -> Any:
-    """Add up the light of the rays of each pixel, demodulated and all; short loops, most of which become vectors."""
+    """Add up the light of the rays of each pixel, demodulated and all."""
     range_m, reflectivity, cos_incidence = view
     gain, per_amplitude, ambient = levels
-    n_rays, n_pixels = range_m.shape
-    share, period = np.float32(1) / np.float32(n_rays), np.float32(tables.shape[1] - 2)
+    share = np.float32(1) / np.float32(len(range_m))
+    distance, strength = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    for first in range(0, len(signal), _BLOCK):
+        last = min(first + _BLOCK, len(signal))
+        light_of = (gain[first:last], per_amplitude, ambient[first:last])
+        for k in range(len(range_m)):
+            met = (range_m[k, first:last], reflectivity[k, first:last], cos_incidence[k, first:last])
+            if _reflect(met, share, light_of, (distance, strength), total[first:last]):
+                for i in range(len(numbers)):
+                    _demodulate((distance, strength), tables[i], numbers[i], shift_m[first:last], signal[first:last])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+def _reflect(met: Any, share: Any, levels: Any, result: Any, total: Any) -> Any:
+    """Fill range and amplitude of a ray of each pixel and add all its light; return whether any of them met something.
+
+    Short loops without branches, which become vectors.
+    """
+    (range_m, reflectivity, cos_incidence), (gain, per_amplitude, ambient), (distance, strength) = met, levels, result
     zero, one, largest = np.float32(0), np.float32(1), np.float32(1e30)
-    distance, strength, place = np.empty_like(shift_m), np.empty_like(shift_m), np.empty_like(shift_m)
-    for k in range(n_rays):
-        range_k, reflectivity_k, cos_k = range_m[k], reflectivity[k], cos_incidence[k]
-        for i in range(n_pixels):
-            hit = range_k[i] < largest
-            distance[i] = range_k[i] if hit else one
-            reflected = share * reflectivity_k[i] if hit else zero
-            strength[i] = gain[i] * reflected * cos_k[i] / (distance[i] * distance[i])
+    hits = 0
+    for i in range(len(total)):
+        hits += range_m[i] < largest
+    if hits:
+        for i in range(len(total)):
+            hit = range_m[i] < largest
+            distance[i] = range_m[i] if hit else one
+            reflected = share * reflectivity[i] if hit else zero
+            strength[i] = gain[i] * reflected * cos_incidence[i] / (distance[i] * distance[i])
             total[i] += strength[i] * per_amplitude + ambient[i] * reflected
-        for light in range(len(numbers)):
-            table = tables[light]
-            turns_per_m, start, factor = numbers[light, 0], numbers[light, 1], numbers[light, 2]
-            for i in range(n_pixels):
-                turns = turns_per_m * (distance[i] + shift_m[i]) + start
-                place[i] = (turns - np.floor(turns)) * period
-            for i in range(n_pixels):
-                n = np.int32(place[i])
-                here = table[n]
-                signal[i] += factor * strength[i] * (here + (place[i] - np.float32(n)) * (table[n + 1] - here))
+    return hits > 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+def _demodulate(ray: Any, table: Any, numbers: Any, shift_m: Any, signal: Any) -> Any:
+    """Add what the pixels demodulate of a light: the table at its phase, between whose values it is interpolated."""
+    (distance, strength), (turns_per_m, start, factor) = ray, numbers
+    period, place, met = np.float32(len(table) - 2), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    for i in range(len(signal)):
+        turns = turns_per_m * (distance[i] + shift_m[i]) + start
+        place[i] = (turns - np.floor(turns)) * period
+    for i in range(len(signal)):
+        n = np.int32(place[i])
+        at = np.uintp(n)  # without a sign it needs no check whether it counts from the end
+        here = table[at]
+        met[i] = here + (place[i] - np.float32(n)) * (table[at + np.uintp(1)] - here)
+    for i in range(len(signal)):
+        signal[i] += factor * strength[i] * met[i]

@@ -18,6 +18,8 @@ def transfer(plane: Image, link: Link, rng: np.random.Generator) -> Image:
 def _with_bit_errors(plane: Image, link: Link, rng: np.random.Generator) -> Image:
     """Turn over bits of the nearest whole number; what a sample without rounding has beyond that stays."""
     count = rng.binomial(link.bits * plane.size, link.bit_error_probability)
+    if count == 0:
+        return plane
     places = rng.choice(link.bits * plane.size, count, replace=False, shuffle=False)
     pixels, which = np.unique(places // link.bits, return_inverse=True)
     turned = np.zeros(len(pixels), np.int64)
@@ -32,6 +34,8 @@ def _with_bit_errors(plane: Image, link: Link, rng: np.random.Generator) -> Imag
 def _with_missed_clocks(plane: Image, probability: float, rng: np.random.Generator) -> Image:
     """Move together to the left, in the rows concerned, the pixels whose clock edge was seen."""
     count = rng.binomial(plane.size, probability)
+    if count == 0:
+        return plane
     missed = rng.choice(plane.size, count, replace=False, shuffle=False)
     rows, columns = np.divmod(missed, plane.shape[1])
     result = plane.copy()
