@@ -14,6 +14,7 @@ from annotated_types import Ge
 from rangecam.brake.machine import CarState
 from rangecam.brake.rule import GRAVITY_MPS2, DecisionSettings
 from rangecam.settings import NonNegative, Positive, settings
+from rangecam.values import changed
 
 
 @settings
@@ -66,7 +67,7 @@ def observe(friction: Friction, car: CarState, braking: bool, time_s: float, set
     known = car.received_s > friction.heard_s and since_s >= settings.brake_delay_s
     if not (known and car.speed_mps >= settings.min_speed_mps):
         return friction
-    return replace(
+    return changed(
         friction,
         heard_s=car.received_s,
         n=friction.n + 1,

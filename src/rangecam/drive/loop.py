@@ -8,7 +8,6 @@ The same arguments give the same drive, bit for bit: nothing asks for the time o
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from rangecam.pipeline import Sink
 from rangecam.scene.paths import Pose
 from rangecam.scene.scenario import Scenario
 from rangecam.types import Floats
+from rangecam.values import changed
 from rangecam.vehicle.dynamics import BRAKE, HOLE_S, PERIOD_S, WHEEL, Road, VehicleState, move
 from rangecam.vehicle.sensors import discharged, measured_speed
 from rangecam.vehicle.unit import Control, UnitState, advance_unit
@@ -111,7 +111,7 @@ def _reported(car: VehicleState, time_s: float, faults: Sequence[Fault], log: "_
         return car
     motion = car.motion.copy()
     motion[PERIOD_S], motion[HOLE_S] = log.period_s, time_s
-    return replace(car, motion=motion)
+    return changed(car, motion=motion)
 
 
 class _Log:
@@ -138,9 +138,10 @@ class _Log:
         status: list[CanFrame],
     ) -> None:
         """Take in what was sent in a step, and how the brakes come on."""
+        takes = False
         for frame in (*sent, *status):
             self._bus[frame.can_id] += 1
-        takes = any(frame.can_id == MASTER_ID and frame.data[-2:] == MAGIC for frame in sent)
+            takes |= frame.can_id == MASTER_ID and frame.data[-2:] == MAGIC
         self._take_overs += takes
         if takes and not math.isfinite(self.braked_s):
             self._first_take_over(time_s, mind)
