@@ -9,7 +9,7 @@ import numpy as np
 
 from rangecam.scene.paths import EgoMotion, Pose, ego_pose
 from rangecam.scene.scenario import Scenario
-from rangecam.vehicle.dynamics import DIRECTION, HEADING, SPEED, WAY, YAW_RATE, X, Y, VehicleState
+from rangecam.vehicle.dynamics import DIRECTION, HEADING, SPEED, WAY, YAW_RATE, VehicleState, X, Y
 from rangecam.vehicle.remote import Hand
 from rangecam.vehicle.settings import Vehicle
 
