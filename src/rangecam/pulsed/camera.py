@@ -72,7 +72,7 @@ def _shutter_planes(
     offset_v = offsets(shape, widths_s, camera.temperature_c, camera.pixel)
     values_v, n_acc = adapt(read_out(single_v, ambient_v, offset_v, camera.pixel, camera.averages, rng), camera.pixel)
     planes = {name: values_v[i].astype(np.float32) for i, name in enumerate(taken)}
-    return planes | {"n_acc": n_acc, "ambient": ambient_vps.mean(axis=0).astype(np.float32)}
+    return planes | {"n_acc": n_acc, "ambient": (ambient_vps.sum(axis=0) / count).astype(np.float32)}
 
 
 def _tap_planes(

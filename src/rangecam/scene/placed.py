@@ -30,27 +30,29 @@ def placed(
     Columns of the balls (N or N + 1, 6): centre x, y, z; squared radius; first shape, last shape + 1. An object without
     shapes has a ball of radius zero and no shapes.
     """
-    template, starts = _templates(objects, ground_reflectivity)
-    still, moving = _still(objects, ground_reflectivity is not None)
-    now = still.copy()
-    for i in moving:
-        now[i] = _now(objects[i], time_s)
-    if ground_reflectivity is not None:
-        now[-1] = own.x_m, own.y_m, 0.0, own.heading_rad, 0.0, 0.0
+    template, starts, still, moving = _known(objects, ground_reflectivity)
+    now = still.copy() if moving else still
+    for i, thing in moving:
+        now[i] = _now(thing, time_s)
     shapes, balls = np.empty((len(template), 12)), np.empty((len(starts) - 1, 6))
-    turned = np.array([own.x_m, own.y_m, own.heading_rad])
-    _place(template, starts, now, turned, origin_m, shapes, balls)
+    at = float(own.x_m), float(own.y_m), float(own.heading_rad)
+    _place(template, starts, now, at, origin_m, shapes, balls)
     return shapes, balls
 
 
 @lru_cache(maxsize=64)
-def _still(objects: tuple[SceneObject, ...], with_ground: bool) -> tuple[Floats, tuple[int, ...]]:
-    """Return what `_now` says of objects that stay where they are (N or N + 1, 6), and the numbers of the others."""
-    rows = np.zeros((len(objects) + with_ground, 6))
-    moving = tuple(i for i, thing in enumerate(objects) if not stands(thing.path))
-    for i in set(range(len(objects))) - set(moving):
-        rows[i] = _now(objects[i], 0.0)
-    return rows, moving
+def _known(
+    objects: tuple[SceneObject, ...], ground_reflectivity: float | None
+) -> tuple[Floats, Ints, Floats, list[tuple[int, SceneObject]]]:
+    """Return `_templates`, what `_now` says of those that stay where they are (N or N + 1, 6), and who does not."""
+    template, starts = _templates(objects, ground_reflectivity)
+    rows, moving = np.zeros((len(starts) - 1, 6)), []
+    for i, thing in enumerate(objects):
+        if stands(thing.path):
+            rows[i] = _now(thing, 0.0)
+        else:
+            moving.append((i, thing))
+    return template, starts, rows, moving
 
 
 def _now(thing: SceneObject, time_s: float) -> tuple[float, float, float, float, float, float]:
@@ -73,7 +75,6 @@ def _swings(thing: SceneObject) -> bool:
     return any(swing != Swing() for rod in rods for swing in (rod.start_swing, rod.end_swing))
 
 
-@lru_cache(maxsize=64)
 def _templates(objects: tuple[SceneObject, ...], ground_reflectivity: float | None) -> tuple[Floats, Ints]:
     """Return the shapes in axes of their objects (S, 18), and where those of each object start (N + 1,).
 
@@ -120,6 +121,8 @@ def _place(template: Any, starts: Any, now: Any, own: Any, origin: Any, shapes: 
         x = cos_own * east + sin_own * north - origin[0]
         y = cos_own * north - sin_own * east - origin[1]
         z, turn = now[i, 2] - origin[2], now[i, 3] - own[2]
+        if starts[i] < starts[i + 1] and template[starts[i], 0] == PLANE:
+            x, y, turn = -origin[0], -origin[1], 0.0  # the ground is under us wherever we are
         c, s = math.cos(turn), math.sin(turn)
         for k in range(starts[i], starts[i + 1]):
             of, to = template[k], shapes[k]
