@@ -4,6 +4,7 @@ Values are SI. cantools packs and scales after `messages.dbc`; what it lets pass
 beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import cache, lru_cache
@@ -164,14 +165,31 @@ def encode(message: Message) -> tuple[int, bytes]:
     if isinstance(message, GiveBack):
         return MASTER_ID, GIVE_BACK_DATA
     name = name_of(message)
-    values = {signal: float(getattr(message, field)) for field, signal in FIELDS[name][1].items()}
-    known = database().get_message_by_name(name)
-    if name == "DeviceID1":
-        values["AutoPower"] = min(values["AutoPower"], _limits(name)["AutoPower"][1])
-    for signal, value in values.items():
+    frame_id, length, bits, signals = _packing(name)
+    for field, signal, to_raw, start, mask in signals:
+        value = float(getattr(message, field))
+        if signal == "AutoPower":
+            value = min(value, _limits(name)[signal][1])
         _check_range(name, signal, value)
-    packed: bytes = known.encode({**values, **_CONSTANT.get(name, {})}, strict=False)
-    return known.frame_id, packed
+        bits |= (to_raw(value) & mask) << start
+    return frame_id, bits.to_bytes(length, "little")
+
+
+@cache
+def _packing(name: str) -> tuple[int, int, int, list[tuple[str, str, Callable[[float], int], int, int]]]:
+    """Return identifier, bytes and constant bits of a message, and of each field its signal, and how it is packed.
+
+    That is the scaling of cantools, the first bit, little endian, and as many bits as it has.
+    """
+    known = database().get_message_by_name(name)
+    of = {each.name: (each.conversion.numeric_scaled_to_raw, each.start, 2**each.length - 1) for each in known.signals}
+    bits = sum(value << of[signal][1] for signal, value in _CONSTANT.get(name, {}).items())
+    return (
+        known.frame_id,
+        known.length,
+        bits,
+        [(field, signal, *of[signal]) for field, signal in FIELDS[name][1].items()],
+    )
 
 
 def decode(can_id: int, data: bytes) -> Message:

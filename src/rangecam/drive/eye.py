@@ -51,6 +51,8 @@ class Eye:
         self._with_truth, self._next = with_truth, 0
         self._period_s = 1 / config.camera.frame_rate_hz
         self._sequence_s, self._noise = sequence_s(config.camera), _generators(seed)
+        shape = config.camera.rows, config.camera.columns
+        self._bundle = ray_bundle(config.camera.lens, config.mounting, shape, scenario.subpixels)
         self._held: Capture | None = None
         self._under_way: list[tuple[float, int, Capture]] = []
 
@@ -74,8 +76,6 @@ class Eye:
         scenario, config, time_s = self._scene, self._config, self._middle_s(number)
         if self._with_truth:
             return frame(scenario, config, number, time_s, self._seed, self._own)
-        camera, shape = config.camera, (config.camera.rows, config.camera.columns)
-        bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-        looks = look(scenario, config, bundle, time_s, (self._seed, number, 1), self._own)
-        raw = SIMULATE[camera.kind](looks, camera, time_s, next(self._noise))
+        looks = look(scenario, config, self._bundle, time_s, (self._seed, number, 1), self._own)
+        raw = SIMULATE[config.camera.kind](looks, config.camera, time_s, next(self._noise))
         return Capture(changed(raw, frame_id=number))

@@ -95,12 +95,13 @@ def _through_bus(
     status: list[CanFrame], sent: list[CanFrame], time_s: float, faults: Sequence[Fault]
 ) -> tuple[list[CanFrame], list[CanFrame]]:
     """Return what arrives at the perception and at the control unit a step later."""
-    if active(faults, time_s, "status_silence"):
-        status = []
-    if active(faults, time_s, "command_silence"):
-        sent = []
-    if active(faults, time_s, "wrong_magic"):
-        sent = [CanFrame(frame.can_id, frame.data[:-2] + b"\0\0") for frame in sent]
+    if faults:
+        if active(faults, time_s, "status_silence"):
+            status = []
+        if active(faults, time_s, "command_silence"):
+            sent = []
+        if active(faults, time_s, "wrong_magic"):
+            sent = [CanFrame(frame.can_id, frame.data[:-2] + b"\0\0") for frame in sent]
     return sorted(status, key=lambda frame: frame.can_id), sent
 
 

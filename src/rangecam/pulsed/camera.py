@@ -110,8 +110,6 @@ def _look(view: Callable[[float], View], time_s: float, camera: PulsedCamera) ->
             f"view of shape {seen.range_m.shape}: the camera needs (rays, {camera.rows}, {camera.columns}), "
             "its rows and columns"
         )
-    if seen.reflectivity.min() < 0:
-        raise DataError(f"view with a reflectivity of {float(seen.reflectivity.min()):g}: it must be 0 or more")
     return seen
 
 
@@ -119,7 +117,7 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     """Return the exposure of one pulse within a window, J/m2 (H, W): the mean over the rays of each pixel.
 
     delay_s: of the pulse when it leaves. Blur, stray light and cover glass are in it (`camera.crosstalk`).
-    König 2008, eqs 3.11 and 3.16.
+    König 2008, eqs 3.11 and 3.16. Raises DataError for a negative reflectivity.
     """
     laser, _, cos_axis = _light(camera)
     dtype = np.result_type(view.range_m, view.reflectivity, view.cos_incidence)
@@ -129,7 +127,10 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     delays_s, collected_s = correlation_curve(window, camera)
     apart, seconds_per_metre = camera.crosstalk.blur, 2 / camera.speed_of_light_mps
     light = np.zeros(range_m.shape if apart else (1, *range_m.shape[1:]))
-    _expose(range_m, reflectivity, cos_incidence, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
+    rays = range_m, reflectivity, cos_incidence
+    darkest = _expose(*rays, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
+    if darkest < 0:
+        raise DataError(f"view with a reflectivity of {darkest:g}: it must be 0 or more")
     if apart:
         return optical(light, view.range_m * cos_axis, camera)
     light /= len(range_m)
@@ -150,13 +151,14 @@ def _expose(
 ) -> Any:
     """Add the exposure by each ray (K, H, W), or by all of a pixel together (1, H, W), to zeros.
 
-    Between the points of the correlation it is interpolated.
+    Between the points of the correlation it is interpolated. Return the smallest reflectivity, inf without a ray.
     """
     (count, rows, columns), layers = range_m.shape, len(light)
-    last = len(delays_s) - 1
+    last, darkest = len(delays_s) - 1, np.inf
     for k in range(count):
         for r in range(rows):
             for c in range(columns):
+                darkest = min(darkest, np.float64(reflectivity[k, r, c]))
                 away_m = max(np.float64(range_m[k, r, c]), _NEAREST_M)
                 at_s = delay_s + seconds_per_metre * away_m
                 if delays_s[0] < at_s < delays_s[last]:
@@ -165,6 +167,7 @@ def _expose(
                     met_s = collected_s[i - 1] + part * (collected_s[i] - collected_s[i - 1])
                     bright = laser[r, c] * np.float64(reflectivity[k, r, c]) * np.float64(cos_incidence[k, r, c])
                     light[min(k, layers - 1), r, c] += bright / away_m**2 * met_s
+    return darkest
 
 
 def ambient_irradiance(view: View, camera: PulsedCamera) -> Floats:
