@@ -52,10 +52,10 @@ def _shutter_planes(
     """
     taken, apart_s = exposures(camera), window_step_s(camera)
     volts, count = responsivity(camera.pixel), len(taken)
-    shape = (count, camera.rows, camera.columns)
-    light_jpm2, slope_wpm2, ambient_wpm2 = np.empty(shape), np.zeros(shape), np.empty(shape)
-    widths_s = tuple(window[1] - window[0] for window, _ in taken.values())
-    jitter_s = camera.laser.trigger_jitter_s
+    shape, jitter_s = (count, camera.rows, camera.columns), camera.laser.trigger_jitter_s
+    light_jpm2, ambient_wpm2 = np.empty(shape), np.empty(shape)
+    slope_wpm2 = np.zeros(shape if differ(camera) else 0)
+    widths_s = tuple([window[1] - window[0] for window, _ in taken.values()])
     for i, (window, delay_s) in enumerate(taken.values()):
         seen = _look(view, time_s + (i - (count - 1) / 2) * apart_s, camera)
         light_jpm2[i] = laser_exposure(seen, window, delay_s, camera)
@@ -65,7 +65,7 @@ def _shutter_planes(
         ambient_wpm2[i] = ambient_irradiance(seen, camera)
     single_v = volts * electrical(light_jpm2, camera.crosstalk)  # eq 4.13
     ambient_vps = volts * ambient_wpm2
-    ambient_v = ambient_vps * np.reshape(widths_s, (-1, 1, 1))
+    ambient_v = ambient_vps * np.array(widths_s)[:, None, None]
     if differ(camera):
         slope_vps = volts * electrical(slope_wpm2, camera.crosstalk)
         single_v = mean_of_pulses(single_v, slope_vps, ambient_v, camera, rng)
@@ -120,10 +120,10 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     König 2008, eqs 3.11 and 3.16. Raises DataError for a negative reflectivity.
     """
     laser, _, cos_axis = _light(camera)
-    dtype = np.result_type(view.range_m, view.reflectivity, view.cos_incidence)
-    range_m, reflectivity, cos_incidence = (
-        np.ascontiguousarray(each, dtype) for each in (view.range_m, view.reflectivity, view.cos_incidence)
-    )
+    met: tuple[Floats, ...] = (view.range_m, view.reflectivity, view.cos_incidence)
+    if not met[0].dtype == met[1].dtype == met[2].dtype:
+        met = tuple(each.astype(np.result_type(*met)) for each in met)
+    range_m, reflectivity, cos_incidence = (np.ascontiguousarray(each) for each in met)
     delays_s, collected_s = correlation_curve(window, camera)
     apart, seconds_per_metre = camera.crosstalk.blur, 2 / camera.speed_of_light_mps
     light = np.zeros(range_m.shape if apart else (1, *range_m.shape[1:]))

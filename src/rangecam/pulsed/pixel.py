@@ -24,6 +24,7 @@ def volts_per_coulomb(pixel: Pixel) -> float:
     return pixel.follower_gain * pixel.clamp_capacitance_f / pixel.feedback_capacitance_f / capacitance_f
 
 
+@lru_cache(maxsize=16)
 def responsivity(pixel: Pixel) -> float:
     """Return the output voltage per exposure of one pulse, V/(J/m2) (König 2008, eq 4.13)."""
     area_m2 = pixel.pitch_horizontal_m * pixel.pitch_vertical_m

@@ -32,8 +32,8 @@ def placed(
     """
     template, starts, still, moving = _known(objects, ground_reflectivity)
     now = still.copy() if moving else still
-    for i, thing in moving:
-        now[i] = _now(thing, time_s)
+    for i, thing, swings in moving:
+        now[i] = _now(thing, time_s, swings)
     shapes, balls = np.empty((len(template), 12)), np.empty((len(starts) - 1, 6))
     at = float(own.x_m), float(own.y_m), float(own.heading_rad)
     _place(template, starts, now, at, origin_m, shapes, balls)
@@ -43,25 +43,28 @@ def placed(
 @lru_cache(maxsize=64)
 def _known(
     objects: tuple[SceneObject, ...], ground_reflectivity: float | None
-) -> tuple[Floats, Ints, Floats, list[tuple[int, SceneObject]]]:
-    """Return `_templates`, what `_now` says of those that stay where they are (N or N + 1, 6), and who does not."""
+) -> tuple[Floats, Ints, Floats, list[tuple[int, SceneObject, bool]]]:
+    """Return `_templates`, what `_now` says of those that stay where they are (N or N + 1, 6), and who does not.
+
+    Of these also whether they swing their limbs.
+    """
     template, starts = _templates(objects, ground_reflectivity)
     rows, moving = np.zeros((len(starts) - 1, 6)), []
     for i, thing in enumerate(objects):
         if stands(thing.path):
-            rows[i] = _now(thing, 0.0)
+            rows[i] = _now(thing, 0.0, _swings(thing))
         else:
-            moving.append((i, thing))
+            moving.append((i, thing, _swings(thing)))
     return template, starts, rows, moving
 
 
-def _now(thing: SceneObject, time_s: float) -> tuple[float, float, float, float, float, float]:
+def _now(thing: SceneObject, time_s: float, swings: bool) -> tuple[float, float, float, float, float, float]:
     """Return x, y, z, heading, phase of the stride and how far it swings, 0..1."""
     (x, y, z), velocity_mps = place_and_velocity(thing.path, time_s)
     heading = math.radians(thing.heading_deg)
     if thing.follow_path:
         heading += direction_rad(thing.path, time_s)
-    if not _swings(thing):
+    if not swings:
         return x, y, z, heading, 0.0, 0.0
     body = BODIES[thing.body]
     phase = 2 * math.pi * travelled_m(thing.path, time_s) / (body.stride_m * thing.scale)
@@ -69,7 +72,6 @@ def _now(thing: SceneObject, time_s: float) -> tuple[float, float, float, float,
     return x, y, z, heading, phase, min(speed / full, 1.0) if full else 1.0
 
 
-@lru_cache(maxsize=1024)
 def _swings(thing: SceneObject) -> bool:
     rods = [shape for shape in shapes_of(thing) if isinstance(shape, Rod)]
     return any(swing != Swing() for rod in rods for swing in (rod.start_swing, rod.end_swing))
