@@ -1,6 +1,6 @@
 """Messages of the car's bus to bytes and back (Steinbäck 2016, appendix A.4); docs/can.md decides what is open there.
 
-Values are SI. cantools packs and scales after `messages.dbc`; what it lets pass silently (a wrong magic number, values
+Values are SI. cantools reads `messages.dbc`, scales and unpacks; what it lets pass silently (a wrong magic number, values
 beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
 """
 
@@ -166,30 +166,31 @@ def encode(message: Message) -> tuple[int, bytes]:
         return MASTER_ID, GIVE_BACK_DATA
     name = name_of(message)
     frame_id, length, bits, signals = _packing(name)
-    for field, signal, to_raw, start, mask in signals:
+    for field, signal, least, most, to_raw, start, mask in signals:
         value = float(getattr(message, field))
         if signal == "AutoPower":
-            value = min(value, _limits(name)[signal][1])
-        _check_range(name, signal, value)
+            value = min(value, most)
+        if not least <= value <= most:
+            _check_range(name, signal, value)
         bits |= (to_raw(value) & mask) << start
     return frame_id, bits.to_bytes(length, "little")
 
 
-@cache
-def _packing(name: str) -> tuple[int, int, int, list[tuple[str, str, Callable[[float], int], int, int]]]:
-    """Return identifier, bytes and constant bits of a message, and of each field its signal, and how it is packed.
+_Packed = tuple[str, str, float, float, Callable[[float], int], int, int]
+"""Field, signal, least and greatest value, the scaling of cantools, first bit, as many ones as the signal has bits."""
 
-    That is the scaling of cantools, the first bit, little endian, and as many bits as it has.
-    """
+
+@cache
+def _packing(name: str) -> tuple[int, int, int, list[_Packed]]:
+    """Return identifier, bytes and constant bits of a message, and of each field how it is packed, little endian."""
     known = database().get_message_by_name(name)
-    of = {each.name: (each.conversion.numeric_scaled_to_raw, each.start, 2**each.length - 1) for each in known.signals}
-    bits = sum(value << of[signal][1] for signal, value in _CONSTANT.get(name, {}).items())
-    return (
-        known.frame_id,
-        known.length,
-        bits,
-        [(field, signal, *of[signal]) for field, signal in FIELDS[name][1].items()],
-    )
+    signal_of = {each.name: each for each in known.signals}
+    bits = sum(value << signal_of[signal].start for signal, value in _CONSTANT.get(name, {}).items())
+    packed: list[_Packed] = []
+    for field, signal in FIELDS[name][1].items():
+        to_raw, its = signal_of[signal].conversion.numeric_scaled_to_raw, signal_of[signal]
+        packed.append((field, signal, *_limits(name)[signal][:2], to_raw, its.start, 2**its.length - 1))
+    return known.frame_id, known.length, bits, packed
 
 
 def decode(can_id: int, data: bytes) -> Message:

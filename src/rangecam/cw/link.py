@@ -21,13 +21,13 @@ def _with_bit_errors(plane: Image, link: Link, rng: np.random.Generator) -> Imag
     if count == 0:
         return plane
     places = rng.choice(link.bits * plane.size, count, replace=False, shuffle=False)
-    pixels, which = np.unique(places // link.bits, return_inverse=True)
-    turned = np.zeros(len(pixels), np.int64)
-    np.bitwise_xor.at(turned, which, 1 << (places % link.bits))
+    turned = np.zeros(plane.size, np.int64)
+    np.bitwise_xor.at(turned, places // link.bits, 1 << (places % link.bits))
+    pixels = np.flatnonzero(turned)
     result = plane.copy()
     before = result.reshape(-1)[pixels]
     sent = np.clip(np.round(before), 0, 2**link.bits - 1).astype(np.int64)
-    result.reshape(-1)[pixels] = (before + ((sent ^ turned) - sent)).astype(plane.dtype)
+    result.reshape(-1)[pixels] = (before + ((sent ^ turned[pixels]) - sent)).astype(plane.dtype)
     return result
 
 
@@ -36,10 +36,10 @@ def _with_missed_clocks(plane: Image, probability: float, rng: np.random.Generat
     count = rng.binomial(plane.size, probability)
     if count == 0:
         return plane
-    missed = rng.choice(plane.size, count, replace=False, shuffle=False)
-    rows, columns = np.divmod(missed, plane.shape[1])
+    clocked = np.ones(plane.shape, bool)
+    clocked.reshape(-1)[rng.choice(plane.size, count, replace=False, shuffle=False)] = False
     result = plane.copy()
-    for row in np.unique(rows):
-        seen = np.delete(plane[row], columns[rows == row])
+    for row in np.flatnonzero(~clocked.all(axis=1)):
+        seen = plane[row, clocked[row]]
         result[row, : len(seen)], result[row, len(seen) :] = seen, 0
     return result
