@@ -1,7 +1,7 @@
 """Messages of the car's bus to bytes and back (Steinbäck 2016, appendix A.4); docs/can.md decides what is open there.
 
-Values are SI. cantools reads `messages.dbc`, scales and unpacks; what it lets pass silently (a wrong magic number, values
-beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
+Values are SI. cantools reads `messages.dbc`, scales and unpacks; what it lets pass silently (a wrong magic number,
+values beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
 """
 
 from collections.abc import Callable
