@@ -16,6 +16,7 @@ from rangecam.can import layout
 from rangecam.can.bus import GROUP, INTERFACES, Bus, Received, read
 from rangecam.can.codec import (
     FIELDS,
+    MAGIC_NUMBER,
     PERIOD_S,
     TIMEOUT_S,
     CarStatus1,
@@ -78,6 +79,24 @@ LEGAL = st.one_of(
         ),
     ),
 )
+
+
+share, celsius = st.floats(-1, 1), st.floats(-128, 127)
+SENDABLE = st.one_of(
+    st.builds(CarStatus1, *[st.floats(0, 65.535)] * 4),
+    st.builds(CarStatus2, st.floats(0, 65.535), *[celsius] * 5),
+    st.builds(RemoteValues, share, share, share),
+    st.builds(TakeOver, st.sampled_from(DriveMode), st.floats(0, 1), st.sampled_from(SteeringMode), st.floats(0, 1)),
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(SENDABLE)
+def test_every_message_is_packed_as_cantools_packs_it(message: Message) -> None:
+    values = {signal: float(getattr(message, field)) for field, signal in FIELDS[name_of(message)][1].items()}
+    rest = {"Magic": MAGIC_NUMBER, "Reserved": 0, "AutoReserved": 0}
+    known = database().get_message_by_name(name_of(message))
+    assert encode(message) == (known.frame_id, known.encode({**rest, **values}, strict=False))
 
 
 @settings(max_examples=300, deadline=None)

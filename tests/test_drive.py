@@ -19,7 +19,8 @@ from rangecam.config import Config, load_config
 from rangecam.drive import bound, page
 from rangecam.drive.campaigns import trial_of
 from rangecam.drive.contact import impact_speed, nearest
-from rangecam.drive.journey import between, hand_of
+from rangecam.drive.eye import Eye
+from rangecam.drive.journey import _interpolated, between, hand_of
 from rangecam.drive.loop import drive
 from rangecam.drive.mind import Mind, brake_settings, latency_s, restarted
 from rangecam.drive.opening import drive_settings, opened
@@ -325,6 +326,24 @@ def test_the_driver_follows_the_bends_of_the_scenario() -> None:
     rolled = bound.roll(replace(scene(), ego=stop, duration_s=2.0), SETTINGS)
     assert rolled.own(2.0).speed_mps == pytest.approx(0.0, abs=0.02)
     assert hand_of(scene(), 0.0, standing(MODEL), MODEL, False).throttle == 1.0
+
+
+def test_between_the_moments_of_a_course_the_driver_holds_what_numpy_interpolates() -> None:
+    rng = np.random.default_rng(3)
+    places, values = np.sort(rng.uniform(0, 5, 40)), rng.normal(size=40)
+    for at in (*rng.uniform(-1, 6, 200).tolist(), *places.tolist()):
+        assert _interpolated(at, places.tolist(), values.tolist()) == np.interp(at, places, values)
+    assert _interpolated(1.0, [0.0], [4.0]) == 4.0
+
+
+def test_noise_belongs_to_the_number_of_a_frame_however_it_is_taken() -> None:
+    world = scene(box())
+    eye = Eye(world, coarse(), SETTINGS, 3, lambda _: AHEAD, False)
+    seen = [capture.raw for _, capture in eye.arrived(0.8)]
+    for number in (0, 31, 32, len(seen) - 1):
+        alone = frame(world, coarse(), number, seen[number].time_s, 3, lambda _: AHEAD).raw
+        for name, plane in alone.planes.items():
+            assert np.array_equal(seen[number].planes[name], plane)
 
 
 # -- what could have been done ----------------------------------------------------------------------------------------

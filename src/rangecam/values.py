@@ -7,14 +7,15 @@ T = TypeVar("T")
 
 
 def changed(whole: T, **fields: Any) -> T:
-    """Return a copy of a dataclass with some of its fields changed, in a quarter of the time of `dataclasses.replace`.
+    """Return a copy of a dataclass with some of its fields changed, in a fifth of the time of `dataclasses.replace`.
 
     For values and states, which check nothing when they are made. Raises TypeError for a field that there is not.
     """
-    if not fields.keys() <= whole.__dict__.keys():
+    values = whole.__dict__ | fields
+    if len(values) > len(whole.__dict__):
         raise TypeError(f"{type(whole).__name__} has no {', '.join(sorted(fields.keys() - whole.__dict__.keys()))}")
     copy = object.__new__(type(whole))
-    copy.__dict__.update(whole.__dict__, **fields)
+    object.__setattr__(copy, "__dict__", values)
     return copy
 
 

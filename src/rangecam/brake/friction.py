@@ -9,7 +9,7 @@ is fitted to a, t0 and d1. A stop that looks otherwise says nothing: the object 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from rangecam.brake.machine import Perception
 from rangecam.brake.settings import GRAVITY_MPS2
 from rangecam.settings import NonNegative, Positive, settings
 from rangecam.types import Floats
+from rangecam.values import changed
 
 
 @settings
@@ -84,9 +85,9 @@ def observe(friction: Friction, seen: Perception, speed_mps: float, braking: boo
         known = after_stop(friction, s)
         return Friction(known.mu, known.sigma)
     if braking and not friction.braking:
-        friction = replace(friction, braking=True, before=len(friction.gaps))
+        friction = changed(friction, braking=True, before=len(friction.gaps))
     friction = _looked(friction, seen, speed_mps, s)
-    return friction if braking or speed_mps == friction.speed_mps else replace(friction, speed_mps=speed_mps)
+    return friction if braking or speed_mps == friction.speed_mps else changed(friction, speed_mps=speed_mps)
 
 
 def _looked(friction: Friction, seen: Perception, speed_mps: float, s: FrictionSettings) -> Friction:
@@ -97,10 +98,10 @@ def _looked(friction: Friction, seen: Perception, speed_mps: float, s: FrictionS
     gap = Gap(seen.time_s, seen.distance_m, speed_mps)
     if friction.braking:
         same = seen.track_id == friction.track_id
-        return replace(friction, gaps=(*friction.gaps, gap)) if same else replace(friction, track_id=0, gaps=())
+        return changed(friction, gaps=(*friction.gaps, gap)) if same else changed(friction, track_id=0, gaps=())
     kept = friction.gaps if seen.track_id == friction.track_id else ()
     recent = tuple(each for each in kept if each.time_s >= seen.time_s - s.before_s)
-    return replace(friction, track_id=seen.track_id, gaps=(*recent, gap))
+    return changed(friction, track_id=seen.track_id, gaps=(*recent, gap))
 
 
 def after_stop(friction: Friction, s: FrictionSettings) -> Friction:
@@ -111,7 +112,7 @@ def after_stop(friction: Friction, s: FrictionSettings) -> Friction:
     mu, variance = found
     prior = friction.sigma**2 + s.change**2
     weight = 1 / (1 + variance / prior)  # 1 before the first stop, where the prior is inf
-    return replace(friction, mu=friction.mu + weight * (mu - friction.mu), sigma=math.sqrt(weight * variance))
+    return changed(friction, mu=friction.mu + weight * (mu - friction.mu), sigma=math.sqrt(weight * variance))
 
 
 def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:

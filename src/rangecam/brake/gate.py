@@ -6,12 +6,13 @@ ends the control by its own timeout (E-S-25). It knows no way to accelerate or t
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from rangecam.brake.machine import Action, Request
 from rangecam.can.layout import BRAKE_MODE, GIVE_BACK_DATA, MAGIC, MASTER_ID, VALUE_PER_UNIT
 from rangecam.settings import Positive, settings
+from rangecam.values import changed
 
 
 class Refusal(StrEnum):
@@ -55,12 +56,12 @@ class CanFrame:
 
 def arm(gate: Gate) -> Gate:
     """Open the gate for causes; only a person at the command line, or a test, has reason to."""
-    return replace(gate, armed=True, number=-1)
+    return changed(gate, armed=True, number=-1)
 
 
 def disarm(gate: Gate) -> tuple[Gate, CanFrame]:
     """Close the gate, and return the frame that gives control back at once: the operator's way out of any fault."""
-    return replace(gate, armed=False), CanFrame(MASTER_ID, GIVE_BACK_DATA)
+    return changed(gate, armed=False), CanFrame(MASTER_ID, GIVE_BACK_DATA)
 
 
 def let_pass(gate: Gate, request: Request, time_s: float, settings: GateSettings) -> tuple[Gate, CanFrame | None]:
@@ -69,8 +70,8 @@ def let_pass(gate: Gate, request: Request, time_s: float, settings: GateSettings
         return gate, None
     refusal = _refusal(gate, request, time_s, settings)
     if refusal is not None:
-        return replace(gate, refused=Counter(gate.refused) + Counter([refusal])), None
-    gate = replace(gate, number=request.number)
+        return changed(gate, refused=Counter(gate.refused) + Counter([refusal])), None
+    gate = changed(gate, number=request.number)
     if request.action is Action.GIVE_BACK:
         return gate, CanFrame(MASTER_ID, GIVE_BACK_DATA)
     value = round(request.brake * VALUE_PER_UNIT)

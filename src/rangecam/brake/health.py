@@ -6,8 +6,10 @@ Nothing here knows a camera family: samples are compared plane by plane, and wha
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from rangecam.brake.machine import Fault, Perception
@@ -17,6 +19,8 @@ from rangecam.types import VELOCITY, Frame, RawFrame, TrackStatus, Why
 _MEASURED = [Why.VALID, Why.FLOOR, Why.OUTSIDE_AREA]
 """Pixels that measured something: what does not belong to an object shows as well that the lens is clear."""
 _IS_MEASURED = np.array([each in _MEASURED for each in range(256)])
+_SATURATED = int(Why.SATURATED)
+_CONFIRMED = int(TrackStatus.CONFIRMED)
 _CONSTANT = ("reference_range_m", "temperature_c", "status", "n_acc", "dark_")
 """Planes whose names begin so may stay as they are from image to image."""
 
@@ -66,29 +70,44 @@ class Health:
 
 def judge(frame: Frame, received_s: float, before: Health | None, settings: HealthSettings) -> Health:
     """Return the health of an image that arrived at `received_s` on our clock, after another one (None: the first)."""
-    why = frame.image.why
-    share = np.bincount(why.ravel(), minlength=len(Why)) / max(1, why.size)
-    seen, saturated = float(share[_MEASURED].sum()), float(share[Why.SATURATED])
-    near = np.count_nonzero(frame.image.range_m < settings.near_m) / max(1, why.size)
+    why, range_m = np.ascontiguousarray(frame.image.why), np.ascontiguousarray(frame.image.range_m)
+    measured = np.empty(why.shape, np.bool_)
+    near_m = range_m.dtype.type(settings.near_m)
+    counts = _count(why.reshape(-1), range_m.reshape(-1), near_m, _IS_MEASURED, measured.reshape(-1))
+    n_measured, n_saturated, n_near = counts
+    pixels = max(1, why.size)
+    seen, saturated, near = n_measured / pixels, n_saturated / pixels, n_near / pixels
     took_s = received_s - frame.raw.time_s
     unchanged, repeats, fastest_s = 0.0, 0, took_s
     if before is not None:
-        unchanged = _unchanged(frame.raw, before.raw, _IS_MEASURED[why])
+        unchanged = _unchanged(frame.raw, before.raw, measured, n_measured)
         repeats = before.repeats + 1 if unchanged >= settings.frozen_fraction else 0
         drift_s = settings.clock_drift * max(0.0, received_s - before.received_s)
         fastest_s = min(took_s, before.fastest_s + drift_s)
     lateness_s = took_s - fastest_s
-    found = {
-        Fault.LATE: not lateness_s <= settings.max_lateness_s,
-        Fault.SATURATED: saturated > settings.max_saturated,
-        Fault.BLOCKED: seen < settings.min_seen or near > settings.max_near,
-        Fault.FROZEN: repeats >= settings.frozen_repeats,
-    }
-    faults = tuple(fault for fault, is_so in found.items() if is_so)
+    found = (
+        (Fault.LATE, not lateness_s <= settings.max_lateness_s),
+        (Fault.SATURATED, saturated > settings.max_saturated),
+        (Fault.BLOCKED, seen < settings.min_seen or near > settings.max_near),
+        (Fault.FROZEN, repeats >= settings.frozen_repeats),
+    )
+    faults = tuple(fault for fault, is_so in found if is_so)
     return Health(faults, seen, saturated, near, unchanged, lateness_s, repeats, frame.raw, received_s, fastest_s)
 
 
-def _unchanged(raw: RawFrame, before: RawFrame, measured: NDArray[np.bool_]) -> float:
+@njit(cache=True, nogil=True)
+def _count(why: Any, range_m: Any, near_m: Any, is_measured: Any, measured: Any) -> Any:
+    """Return how many pixels measured something, have too much light, are near; fill which measured something."""
+    n_measured = n_saturated = n_near = 0
+    for i in range(why.size):
+        measured[i] = is_measured[why[i]]
+        n_measured += measured[i]
+        n_saturated += why[i] == _SATURATED
+        n_near += range_m[i] < near_m
+    return n_measured, n_saturated, n_near
+
+
+def _unchanged(raw: RawFrame, before: RawFrame, measured: NDArray[np.bool_], n_measured: int) -> float:
     """Return the share of the samples of measured pixels that are what they were, 0 where none can be compared."""
     equal = total = 0
     for name, plane in raw.planes.items():
@@ -96,7 +115,7 @@ def _unchanged(raw: RawFrame, before: RawFrame, measured: NDArray[np.bool_]) -> 
         if name.startswith(_CONSTANT) or old is None or not plane.shape == old.shape == measured.shape:
             continue
         equal += int(np.count_nonzero((plane == old) & measured))
-        total += int(np.count_nonzero(measured))
+        total += n_measured
     return equal / total if total else 0.0
 
 
@@ -119,6 +138,7 @@ def perceived(frame: Frame, health: Health) -> Perception:
 
 def _scene_speed(frame: Frame) -> float | None:
     """Return the speed in m/s at which the scene comes closer: the median of at least three confirmed tracks."""
-    confirmed = frame.tracks.status == TrackStatus.CONFIRMED
-    closing_mps = -frame.tracks.state[confirmed, VELOCITY[0]]
-    return float(np.median(closing_mps)) if len(closing_mps) >= 3 else None
+    confirmed = frame.tracks.status == _CONFIRMED
+    if np.count_nonzero(confirmed) < 3:
+        return None
+    return float(np.median(-frame.tracks.state[confirmed, VELOCITY[0]]))

@@ -9,13 +9,14 @@ new image, every new car state and at least every 20 ms: the timeouts are exact 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Annotated
 
 from annotated_types import Interval
 
 from rangecam.settings import NonNegative, Positive, PositiveInt, settings
+from rangecam.values import changed
 
 
 class Mode(IntEnum):
@@ -188,7 +189,7 @@ class BrakeState:
 def advance(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> tuple[BrakeState, Request]:
     """Return the next state and what to send. The same arguments give the same answer; nothing is raised."""
     state = _take_car(_take_image(state, inputs, settings), inputs, settings)
-    state = replace(_change_mode(state, inputs.time_s, settings), number=state.number + 1)
+    state = changed(_change_mode(state, inputs.time_s, settings), number=state.number + 1)
     if state.mode is not Mode.USER_CONTROL:
         return state, Request(inputs.time_s, state.number, Action.BRAKE, settings.brake, state.cause)
     giving_back = inputs.time_s - state.released_s <= settings.give_back_time_s
@@ -201,17 +202,17 @@ def _change_mode(state: BrakeState, time_s: float, settings: MachineSettings) ->
     if fault is not None:
         since_s = state.cause.since_s if state.mode is Mode.FAULT else time_s
         cause = Cause(fault, fault.value, since_s, time_s)
-        return replace(state, mode=Mode.FAULT, cause=cause, good_images=0, standing_s=math.inf)
+        return changed(state, mode=Mode.FAULT, cause=cause, good_images=0, standing_s=math.inf)
     if state.mode is Mode.USER_CONTROL:
         if not _must_stop(state, settings):
             return state
-        return replace(state, mode=Mode.STOPPING, cause=Cause(None, state.perception.reason, time_s, state.image_s))
+        return changed(state, mode=Mode.STOPPING, cause=Cause(None, state.perception.reason, time_s, state.image_s))
     stands = state.car_s - state.standing_s >= settings.standstill_time_s
     works = state.mode is Mode.STOPPING or state.good_images >= settings.recovery_images
     if stands and works:
-        return replace(state, mode=Mode.USER_CONTROL, released_s=time_s)
+        return changed(state, mode=Mode.USER_CONTROL, released_s=time_s)
     affirmed_s = state.image_s if state.mode is Mode.STOPPING else time_s
-    return replace(state, cause=replace(state.cause, time_s=affirmed_s))
+    return changed(state, cause=changed(state.cause, time_s=affirmed_s))
 
 
 def _fault(state: BrakeState, time_s: float, settings: MachineSettings) -> Fault | None:
@@ -244,9 +245,9 @@ def _take_image(state: BrakeState, inputs: Inputs, settings: MachineSettings) ->
     fault = _image_fault(new, state.perception, inputs.time_s)
     if fault is None:
         good = min(state.good_images + 1, settings.recovery_images)
-        return replace(state, perception=new, image_s=new.received_s, image_fault=Fault.NO_IMAGE, good_images=good)
+        return changed(state, perception=new, image_s=new.received_s, image_fault=Fault.NO_IMAGE, good_images=good)
     last = new if state.mode is Mode.FAULT else state.perception
-    return replace(state, perception=last, image_fault=fault, good_images=0)
+    return changed(state, perception=last, image_fault=fault, good_images=0)
 
 
 def _image_fault(new: Perception, last: Perception, time_s: float) -> Fault | None:
@@ -267,14 +268,14 @@ def _take_car(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> B
         return state
     fault = _car_fault(new, state, inputs, settings)
     if fault is not None and state.mode is not Mode.FAULT:
-        return replace(state, car_fault=fault, wheels_s=math.inf, standing_s=math.inf)
+        return changed(state, car_fault=fault, wheels_s=math.inf, standing_s=math.inf)
     speed_mps = _own_speed(new, state, settings)
     if fault is not None:
-        return replace(state, car=new, car_fault=fault, speed_mps=speed_mps, wheels_s=math.inf, standing_s=math.inf)
+        return changed(state, car=new, car_fault=fault, speed_mps=speed_mps, wheels_s=math.inf, standing_s=math.inf)
     wheels_s = min(state.wheels_s, new.received_s) if speed_mps <= settings.standstill_mps else math.inf
     slides = state.perception.closing_mps > settings.slide_mps and new.received_s - wheels_s <= settings.max_slide_s
     stands = math.isfinite(wheels_s) and not slides
-    return replace(
+    return changed(
         state,
         car=new,
         car_s=new.received_s,

@@ -1,7 +1,6 @@
 """The camera that looks at a simulated scene, of whatever family the configuration says."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from rangecam.scene.scenario import Scenario
 from rangecam.scene.view import View
 from rangecam.scene.weather import clouds, in_weather, joined, precipitation
 from rangecam.types import Capture, RawFrame
+from rangecam.values import changed
 
 
 def _simulate_processed(
@@ -50,7 +50,7 @@ def frame(
     looks = look(scenario, config, bundle, time_s, (seed, frame_id, 1), own)
     raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, frame_id]))
     return Capture(
-        replace(raw, frame_id=frame_id),
+        changed(raw, frame_id=frame_id),
         ego_of(own_pose(scenario, time_s, own), time_s),
         truth(scenario, time_s, camera.lens, config.mounting, shape, own),
     )

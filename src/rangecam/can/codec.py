@@ -1,9 +1,10 @@
 """Messages of the car's bus to bytes and back (Steinbäck 2016, appendix A.4); docs/can.md decides what is open there.
 
-Values are SI. cantools packs and scales after `messages.dbc`; what it lets pass silently (a wrong magic number, values
-beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
+Values are SI. cantools reads `messages.dbc`, scales and unpacks; what it lets pass silently (a wrong magic number,
+values beyond their limits, codes without a name) is refused here, always as a `CodecError` that says why.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import cache, lru_cache
@@ -164,14 +165,32 @@ def encode(message: Message) -> tuple[int, bytes]:
     if isinstance(message, GiveBack):
         return MASTER_ID, GIVE_BACK_DATA
     name = name_of(message)
-    values = {signal: float(getattr(message, field)) for field, signal in FIELDS[name][1].items()}
+    frame_id, length, bits, signals = _packing(name)
+    for field, signal, least, most, to_raw, start, mask in signals:
+        value = float(getattr(message, field))
+        if signal == "AutoPower":
+            value = min(value, most)
+        if not least <= value <= most:
+            _check_range(name, signal, value)
+        bits |= (to_raw(value) & mask) << start
+    return frame_id, bits.to_bytes(length, "little")
+
+
+_Packed = tuple[str, str, float, float, Callable[[float], int], int, int]
+"""Field, signal, least and greatest value, the scaling of cantools, first bit, as many ones as the signal has bits."""
+
+
+@cache
+def _packing(name: str) -> tuple[int, int, int, list[_Packed]]:
+    """Return identifier, bytes and constant bits of a message, and of each field how it is packed, little endian."""
     known = database().get_message_by_name(name)
-    if name == "DeviceID1":
-        values["AutoPower"] = min(values["AutoPower"], _limits(name)["AutoPower"][1])
-    for signal, value in values.items():
-        _check_range(name, signal, value)
-    packed: bytes = known.encode({**values, **_CONSTANT.get(name, {})}, strict=False)
-    return known.frame_id, packed
+    signal_of = {each.name: each for each in known.signals}
+    bits = sum(value << signal_of[signal].start for signal, value in _CONSTANT.get(name, {}).items())
+    packed: list[_Packed] = []
+    for field, signal in FIELDS[name][1].items():
+        to_raw, its = signal_of[signal].conversion.numeric_scaled_to_raw, signal_of[signal]
+        packed.append((field, signal, *_limits(name)[signal][:2], to_raw, its.start, 2**its.length - 1))
+    return known.frame_id, known.length, bits, packed
 
 
 def decode(can_id: int, data: bytes) -> Message:

@@ -1,13 +1,13 @@
 """The one call of the chain: `classify`."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from rangecam.classify.action import actions
 from rangecam.classify.learned import learned
 from rangecam.classify.rules import rules
 from rangecam.classify.settings import ClassificationSettings
 from rangecam.types import Ego, Segments, Tracks
+from rangecam.values import changed
 
 Method = Callable[[Tracks, Ego, ClassificationSettings, Segments], Tracks]
 
@@ -19,7 +19,7 @@ def classify(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segment
     they were.
     """
     classified = CLASSIFICATION[settings.method](tracks, ego, settings, segments)
-    return replace(classified, action_probability=actions(tracks, ego, settings.moving_mps))
+    return changed(classified, action_probability=actions(tracks, ego, settings.moving_mps))
 
 
 CLASSIFICATION: dict[str, Method] = {"rules": rules, "learned": learned}

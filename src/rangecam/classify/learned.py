@@ -5,7 +5,7 @@ probabilities as large as they come true (Guo et al. 2017). `training` makes one
 """
 
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +18,7 @@ from rangecam.classify.features import FEATURES, is_resolved, observe
 from rangecam.classify.settings import ClassificationSettings
 from rangecam.errors import DataError
 from rangecam.types import CLASSES, Ego, Floats, Ints, Segments, Tracks, TrackStatus
+from rangecam.values import changed
 
 _CONFIRMED = int(TrackStatus.CONFIRMED)
 _TOLD = len(CLASSES) - 1
@@ -49,7 +50,7 @@ def learned(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments
     confirmed = tracks.status == _CONFIRMED
     if confirmed.any():
         probability[confirmed] = class_probabilities(features[confirmed], load_model(settings.model), settings)
-    return replace(tracks, class_probability=probability, class_memory=memory)
+    return changed(tracks, class_probability=probability, class_memory=memory)
 
 
 def class_probabilities(features: Floats, model: Model, settings: ClassificationSettings) -> Floats:

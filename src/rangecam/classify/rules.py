@@ -1,7 +1,6 @@
 """What a track is by rules: a vulnerable road user, a vehicle or an obstacle, from its size, shape and motion."""
 
 import math
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +9,7 @@ from numba import njit
 from rangecam.classify.ground import own_velocity
 from rangecam.classify.settings import ClassificationSettings
 from rangecam.types import CLASSES, Ego, Floats, Ints, Segments, Tracks, TrackStatus
+from rangecam.values import changed
 
 
 def rules(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments: Segments) -> Tracks:
@@ -23,7 +23,7 @@ def rules(tracks: Tracks, ego: Ego, settings: ClassificationSettings, segments: 
     earlier = tracks.class_probability
     seen = tracks.status, tracks.state, tracks.covariance, tracks.size_m
     _classify(*seen, own_velocity(ego), earlier, _rules(settings), probability)
-    return replace(tracks, class_probability=probability)
+    return changed(tracks, class_probability=probability)
 
 
 @lru_cache(maxsize=16)

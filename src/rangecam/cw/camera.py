@@ -20,7 +20,7 @@ from rangecam.cw.sequence import (
     single_exposures,
 )
 from rangecam.cw.settings import CwCamera
-from rangecam.cw.signal import sample_variance
+from rangecam.cw.signal import noise_of
 from rangecam.errors import UsageError
 from rangecam.hdr import exposure_plane
 from rangecam.scene.view import View
@@ -85,7 +85,9 @@ def _expose(view: Callable[[float], View], exposure: Exposure, middle_s: float) 
     light = collect(view(times_s[0]), camera, exposure.step_deg, times_s[0])
     for at_s in times_s[1:]:
         light += collect(view(at_s), camera, exposure.step_deg, at_s)
-    return scatter(light / np.float32(count), camera.scattering)
+    if count > 1:
+        light /= np.float32(count)
+    return scatter(light, camera.scattering)
 
 
 def _read_out(samples: Floats, light: Floats, deviates: Floats, camera: CwCamera) -> Image:
@@ -99,22 +101,23 @@ def _read_out(samples: Floats, light: Floats, deviates: Floats, camera: CwCamera
     result = np.empty(samples.shape, np.uint16 if whole else np.float32)
     limits = -np.inf if low is None else low, np.inf if high is None else high
     region = _region(camera, samples.shape[0], samples.shape[1])
-    numbers = np.array([step, *limits, camera.black_level_lsb], np.float32)
-    _convert(samples, sample_variance(light, camera), deviates, numbers, region, result)
+    numbers = np.array([step, *limits, camera.black_level_lsb, *noise_of(camera)], np.float32)
+    _convert(samples, light, deviates, numbers, region, result)
     result[: camera.pseudo_rows] = 0
     return result
 
 
 @njit(cache=True, nogil=True)
-def _convert(samples: Any, variance: Any, deviates: Any, numbers: Any, region: Any, result: Any) -> Any:
+def _convert(samples: Any, light: Any, deviates: Any, numbers: Any, region: Any, result: Any) -> Any:
     """Fill what the converter gives."""
-    step, low, high, black = numbers
+    step, low, high, black, read_variance, per_light, averaged = numbers
     row, column, rows, columns = region
     zero, one = np.float32(0), np.float32(1)
     for r in range(result.shape[0]):
         inside = row <= r < row + rows
         for c in range(result.shape[1]):
-            value = samples[r, c] + deviates[r, c] * np.sqrt(variance[r, c])
+            variance = (read_variance + per_light * light[r, c]) / averaged
+            value = samples[r, c] + deviates[r, c] * np.sqrt(variance)
             value = value if inside and column <= c < column + columns else black
             value = np.rint(value / (step if step > zero else one)) * step if step > zero else value
             result[r, c] = min(max(value, low), high)

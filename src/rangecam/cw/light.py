@@ -1,16 +1,15 @@
 """The forward model of a continuous-wave camera up to its pixels: from what the rays meet to demodulated light."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from rangecam.cw.effects import Waveform
 from rangecam.cw.multipath import emitters_of, irradiance, surfaces_of
-from rangecam.cw.pixel import range_shift_m, respond
+from rangecam.cw.pixel import drift_m, fixed_pattern, range_shift_m, respond
 from rangecam.cw.scattering import scatter
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import gains, metres_per_radian
@@ -38,15 +37,12 @@ def collect(view: View, camera: CwCamera, step_deg: float, time_s: float) -> Flo
     of second bounces comes on top. The lens scatters it on its way (`scatter`).
     """
     view = view if camera.mixed_pixels else middle_ray(view)
-    gain, vignetting = gains(camera, view.range_m.shape[1:])
-    shift_m = range_shift_m(camera, time_s, gain.shape)
-    ambient = np.float32(camera.ambient_lsb_per_wpm2 * view.ambient_wpm2) * vignetting
-    per_amplitude = np.float32(1 / camera.demodulation_contrast)
     lights = [_own_light(camera, step_deg)]
     if camera.interference.strength:
         lights.append(_interfering_light(camera, step_deg, time_s))
-    result = _sum_over_rays(view, lights, shift_m, (gain, per_amplitude, ambient))
+    result = _sum_over_rays(view, camera, lights, time_s)
     if camera.multipath.two_bounces:
+        shift_m = range_shift_m(camera, time_s, view.range_m.shape[1:])
         result += _second_bounces(middle_ray(view), camera, lights[0], shift_m)
     return result
 
@@ -60,28 +56,21 @@ def middle_ray(view: View) -> View:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Light:
-    """Modulated light as the pixels see it: correlation over a period; phase = turns_per_m range + start_turns.
+class _Light(NamedTuple):
+    """Modulated light as the pixels see it: phase = turns_per_m range + start_turns.
 
-    strength: over that of our own light.
+    strength: over that of our own light. Its correlation over a period is a row of `_tables`.
     """
 
-    table: Floats
     turns_per_m: float
     start_turns: float
     strength: float = 1.0
 
 
+@lru_cache(maxsize=64)
 def _own_light(camera: CwCamera, step_deg: float) -> _Light:
     turns_per_m = camera.phase_sign / (2 * math.pi * metres_per_radian(camera))
-    table = _own_table(camera.waveform, camera.modulation_hz)
-    return _Light(table, turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m)
-
-
-@lru_cache(maxsize=16)
-def _own_table(waveform: Waveform, modulation_hz: float) -> Floats:
-    return correlation_table(harmonics(waveform, modulation_hz))
+    return _Light(turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m)
 
 
 def _interfering_light(camera: CwCamera, step_deg: float, time_s: float) -> _Light:
@@ -94,15 +83,20 @@ def _interfering_light(camera: CwCamera, step_deg: float, time_s: float) -> _Lig
     beat_hz = its.modulation_hz - camera.modulation_hz
     turns_per_m = camera.phase_sign * 2 * its.modulation_hz / camera.speed_of_light_mps
     beat = camera.phase_sign * math.fmod(its.phase_deg / 360 + beat_hz * time_s, 1.0)
-    exposure_s = camera.illumination_time_s / camera.exposure_samples
-    table = _interfering_table(camera.waveform, its.modulation_hz, beat_hz * exposure_s)
-    return _Light(table, turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m - beat, its.strength)
+    return _Light(turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m - beat, its.strength)
 
 
 @lru_cache(maxsize=16)
-def _interfering_table(waveform: Waveform, modulation_hz: float, beats: float) -> Floats:
-    h = harmonics(waveform, modulation_hz)
-    return correlation_table(h * np.sinc(beats * np.arange(1, len(h) + 1)))
+def _tables(camera: CwCamera) -> Floats:
+    """Return the correlation over a period with our light, and in a second row with that of a second camera."""
+    own, its = harmonics(camera.waveform, camera.modulation_hz), camera.interference
+    if not its.strength:
+        return correlation_table(own)[None]
+    other = harmonics(camera.waveform, its.modulation_hz)
+    exposure_s = camera.illumination_time_s / camera.exposure_samples
+    beats = (its.modulation_hz - camera.modulation_hz) * exposure_s
+    other = other * np.sinc(beats * np.arange(1, len(other) + 1))
+    return np.stack([correlation_table(own), correlation_table(other)])
 
 
 def _second_bounces(view: View, camera: CwCamera, light: _Light, shift_m: Floats) -> Floats:
@@ -115,59 +109,92 @@ def _second_bounces(view: View, camera: CwCamera, light: _Light, shift_m: Floats
     surfaces = surfaces_of(view, camera.lens)
     emitters = emitters_of(surfaces, view, gain / vignetting, camera.lens, camera.multipath.block_pixels)
     start_turns = (light.start_turns + light.turns_per_m * shift_m).ravel()
-    parts = irradiance(emitters, surfaces, light.table, light.turns_per_m, start_turns)
+    parts = irradiance(emitters, surfaces, _tables(camera)[0], light.turns_per_m, start_turns)
     seen = vignetting * view.reflectivity[0]
     signal, total = (part.reshape(seen.shape) * seen for part in parts)
     return np.stack([signal, total / camera.demodulation_contrast]).astype(np.float32)
 
 
-def _sum_over_rays(
-    view: View, lights: list[_Light], shift_m: Floats, levels: tuple[Floats, np.float32, Floats]
-) -> Floats:
-    """Return the light (2, H, W) that the rays bring; levels: LSB of amplitude, light per amplitude, LSB of ambient."""
-    range_m, reflectivity, cos_incidence = (
+def _sum_over_rays(view: View, camera: CwCamera, lights: list[_Light], time_s: float) -> Floats:
+    """Return the light (2, H, W) that the rays bring."""
+    shape = view.range_m.shape[1:]
+    rays_met = tuple(
         np.ascontiguousarray(a, np.float32).reshape(len(a), -1)
         for a in (view.range_m, view.reflectivity, view.cos_incidence)
     )
-    numbers = [[each.turns_per_m, each.start_turns % 1, each.strength] for each in lights]
-    gain, per_amplitude, ambient = levels
-    result = np.zeros((2, *shift_m.shape), np.float32)
-    _sum_rays(
-        (range_m, reflectivity, cos_incidence),
-        np.stack([each.table for each in lights]),
-        np.array(numbers, np.float32),
-        shift_m.ravel(),
-        (gain.ravel(), np.float32(per_amplitude * sum(each.strength for each in lights)), ambient.ravel()),
-        result[0].ravel(),
-        result[1].ravel(),
-    )
+    gain, vignetting = gains(camera, shape)
+    of_pixels = fixed_pattern(camera, shape).range_m.reshape(-1), gain.reshape(-1), vignetting.reshape(-1)
+    per_amplitude = np.float32(1 / camera.demodulation_contrast) * sum(each.strength for each in lights)
+    ambient = camera.ambient_lsb_per_wpm2 * view.ambient_wpm2
+    of_all = np.array([drift_m(camera, time_s), per_amplitude, ambient], np.float32)
+    numbers = np.array([(each.turns_per_m, each.start_turns % 1, each.strength) for each in lights], np.float32)
+    result = np.empty((2, *shape), np.float32)
+    _sum_rays(rays_met, _tables(camera), numbers, of_pixels, of_all, result.reshape(2, -1))
     return result
 
 
+_BLOCK = 512  # pixels at a time, which leave what is known of them in the fastest memory
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sum_rays(view: Any, tables: Any, numbers: Any, of_pixels: Any, of_all: Any, result: Any) -> Any:
+    """Fill the light of each pixel, demodulated and all, with that of its rays.
+
+    of_pixels: what its pattern adds to the range, LSB of amplitude, share of ambient light. of_all: what the drift adds
+    to the range, light per amplitude, LSB of ambient light.
+    """
+    (range_m, reflectivity, cos_incidence), (pattern_m, gain, vignetting) = view, of_pixels
+    drift, per_amplitude, level = of_all
+    share = np.float32(1) / np.float32(len(range_m))
+    distance, strength = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    shift, ambient = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    for first in range(0, len(gain), _BLOCK):
+        last = min(first + _BLOCK, len(gain))
+        signal, total = result[0, first:last], result[1, first:last]
+        for i in range(len(signal)):
+            signal[i], total[i] = 0, 0
+            shift[i], ambient[i] = pattern_m[first + i] + drift, level * vignetting[first + i]
+        for k in range(len(range_m)):
+            met = (range_m[k, first:last], reflectivity[k, first:last], cos_incidence[k, first:last])
+            levels = (gain[first:last], per_amplitude, ambient)
+            if _reflect(met, share, levels, (distance, strength), total):
+                for i in range(len(numbers)):
+                    _demodulate((distance, strength), tables[i], numbers[i], shift, signal)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
-def _sum_rays(view: Any, tables: Any, numbers: Any, shift_m: Any, levels: Any, signal: Any, total: Any) -> Any:
-    """Add up the light of the rays of each pixel, demodulated and all; short loops, most of which become vectors."""
-    range_m, reflectivity, cos_incidence = view
-    gain, per_amplitude, ambient = levels
-    n_rays, n_pixels = range_m.shape
-    share, period = np.float32(1) / np.float32(n_rays), np.float32(tables.shape[1] - 2)
+def _reflect(met: Any, share: Any, levels: Any, result: Any, total: Any) -> Any:
+    """Fill range and amplitude of a ray of each pixel and add all its light; return whether any of them met something.
+
+    Short loops without branches, which become vectors.
+    """
+    (range_m, reflectivity, cos_incidence), (gain, per_amplitude, ambient), (distance, strength) = met, levels, result
     zero, one, largest = np.float32(0), np.float32(1), np.float32(1e30)
-    distance, strength, place = np.empty_like(shift_m), np.empty_like(shift_m), np.empty_like(shift_m)
-    for k in range(n_rays):
-        range_k, reflectivity_k, cos_k = range_m[k], reflectivity[k], cos_incidence[k]
-        for i in range(n_pixels):
-            hit = range_k[i] < largest
-            distance[i] = range_k[i] if hit else one
-            reflected = share * reflectivity_k[i] if hit else zero
-            strength[i] = gain[i] * reflected * cos_k[i] / (distance[i] * distance[i])
+    hits = 0
+    for i in range(len(total)):
+        hits += range_m[i] < largest
+    if hits:
+        for i in range(len(total)):
+            hit = range_m[i] < largest
+            distance[i] = range_m[i] if hit else one
+            reflected = share * reflectivity[i] if hit else zero
+            strength[i] = gain[i] * reflected * cos_incidence[i] / (distance[i] * distance[i])
             total[i] += strength[i] * per_amplitude + ambient[i] * reflected
-        for light in range(len(numbers)):
-            table = tables[light]
-            turns_per_m, start, factor = numbers[light, 0], numbers[light, 1], numbers[light, 2]
-            for i in range(n_pixels):
-                turns = turns_per_m * (distance[i] + shift_m[i]) + start
-                place[i] = (turns - np.floor(turns)) * period
-            for i in range(n_pixels):
-                n = np.int32(place[i])
-                here = table[n]
-                signal[i] += factor * strength[i] * (here + (place[i] - np.float32(n)) * (table[n + 1] - here))
+    return hits > 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+def _demodulate(ray: Any, table: Any, numbers: Any, shift_m: Any, signal: Any) -> Any:
+    """Add what the pixels demodulate of a light: the table at its phase, between whose values it is interpolated."""
+    (distance, strength), (turns_per_m, start, factor) = ray, numbers
+    period, place, met = np.float32(len(table) - 2), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    for i in range(len(signal)):
+        turns = turns_per_m * (distance[i] + shift_m[i]) + start
+        place[i] = (turns - np.floor(turns)) * period
+    for i in range(len(signal)):
+        n = np.int32(place[i])
+        at = np.uintp(n)  # without a sign it needs no check whether it counts from the end
+        here = table[at]
+        met[i] = here + (place[i] - np.float32(n)) * (table[at + np.uintp(1)] - here)
+    for i in range(len(signal)):
+        signal[i] += factor * strength[i] * met[i]

@@ -90,5 +90,10 @@ def range_shift_m(camera: CwCamera, time_s: float, shape: tuple[int, int]) -> Fl
 
     `offset_m`, which ranging adds, is not in it.
     """
+    return fixed_pattern(camera, shape).range_m + drift_m(camera, time_s)
+
+
+def drift_m(camera: CwCamera, time_s: float) -> np.float32:
+    """Return what the temperature adds to every range, m (S-EFF-11)."""
     warmer_k = temperature_c(camera, time_s) - camera.temperature.reference_c
-    return fixed_pattern(camera, shape).range_m + np.float32(camera.temperature.drift_m_per_k * warmer_k)
+    return np.float32(camera.temperature.drift_m_per_k * warmer_k)

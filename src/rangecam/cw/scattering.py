@@ -21,9 +21,10 @@ def scatter(light: Light, scattering: Scattering) -> Light:
     """
     if not scattering.stray_fraction:
         return light
-    spread = _spread(light, scattering, np.multiply.outer)
     stray = light.dtype.type(scattering.stray_fraction)
-    result: Light = light * (1 - stray) + spread * stray
+    result = _spread(light, scattering, np.multiply.outer)
+    result *= stray
+    result += light * (1 - stray)
     return result
 
 

@@ -23,8 +23,16 @@ def sample_variance(light_lsb: Floats | float, camera: CwCamera) -> Floats:
 
     A sample is the mean of `binning` squared pixels, whose noise is independent (N-S-042).
     """
-    of_one = camera.read_noise_lsb**2 + camera.shot_noise_lsb2_per_lsb * np.asarray(light_lsb)
-    return np.asarray(of_one / camera.binning**2)
+    read_variance, per_light, averaged = noise_of(camera)
+    return np.asarray((read_variance + per_light * np.asarray(light_lsb)) / averaged)
+
+
+def noise_of(camera: CwCamera) -> tuple[float, float, int]:
+    """Return the variance of a pixel without light, LSB2, that for each LSB of light, and how many pixels a sample is.
+
+    See `sample_variance`.
+    """
+    return camera.read_noise_lsb**2, camera.shot_noise_lsb2_per_lsb, camera.binning**2
 
 
 def reference_amplitude(camera: CwCamera, shape: tuple[int, int]) -> Floats:

@@ -1,6 +1,7 @@
 """The camera of a drive: takes its frames while the vehicle moves, and hands them over when they are read out."""
 
 import heapq
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,6 +26,18 @@ def sequence_s(camera: Camera) -> float:
     return 1 / max_frame_rate_hz(camera) if camera.kind == "pulsed" else 0.0
 
 
+_AT_A_TIME = 32
+
+
+def _generators(seed: int) -> Iterator[np.random.Generator]:
+    """Yield the generator of the noise of each frame, as `cameras.simulated.frame` makes it.
+
+    Many are made at a time: alone, between all else that a frame needs, one takes five times as long.
+    """
+    for first in itertools.count(0, _AT_A_TIME):
+        yield from [np.random.default_rng([seed, number]) for number in range(first, first + _AT_A_TIME)]
+
+
 class Eye:
     """Takes frame k with the middle of its exposures at (k + 1) / rate after `start_s`, where the vehicle is by `own`.
 
@@ -37,7 +50,9 @@ class Eye:
         self._scene, self._config, self._settings, self._seed, self._own = scenario, config, settings, seed, own
         self._with_truth, self._next = with_truth, 0
         self._period_s = 1 / config.camera.frame_rate_hz
-        self._sequence_s = sequence_s(config.camera)
+        self._sequence_s, self._noise = sequence_s(config.camera), _generators(seed)
+        shape = config.camera.rows, config.camera.columns
+        self._bundle = ray_bundle(config.camera.lens, config.mounting, shape, scenario.subpixels)
         self._held: Capture | None = None
         self._under_way: list[tuple[float, int, Capture]] = []
 
@@ -61,8 +76,6 @@ class Eye:
         scenario, config, time_s = self._scene, self._config, self._middle_s(number)
         if self._with_truth:
             return frame(scenario, config, number, time_s, self._seed, self._own)
-        camera, shape = config.camera, (config.camera.rows, config.camera.columns)
-        bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
-        looks = look(scenario, config, bundle, time_s, (self._seed, number, 1), self._own)
-        raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([self._seed, number]))
+        looks = look(scenario, config, self._bundle, time_s, (self._seed, number, 1), self._own)
+        raw = SIMULATE[config.camera.kind](looks, config.camera, time_s, next(self._noise))
         return Capture(changed(raw, frame_id=number))

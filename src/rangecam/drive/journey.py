@@ -1,6 +1,7 @@
 """Where the vehicle has been: its poses at even times, asked for by camera and scene at any time between them."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -8,17 +9,15 @@ import numpy as np
 
 from rangecam.scene.paths import EgoMotion, Pose, ego_pose
 from rangecam.scene.scenario import Scenario
-from rangecam.types import Floats
-from rangecam.vehicle.dynamics import DIRECTION, WAY, YAW_RATE, VehicleState
+from rangecam.vehicle.dynamics import DIRECTION, HEADING, SPEED, WAY, YAW_RATE, VehicleState, X, Y
 from rangecam.vehicle.remote import Hand
 from rangecam.vehicle.settings import Vehicle
 
 
 def pose_of(state: VehicleState) -> Pose:
     """Return the pose of a vehicle as the scene takes it."""
-    x, y, heading = state.pose
-    speed = state.speed_mps * float(state.motion[DIRECTION])
-    return Pose(x, y, heading, speed, float(state.motion[YAW_RATE]))
+    now = state.motion.tolist()
+    return Pose(now[X], now[Y], now[HEADING], now[SPEED] * now[DIRECTION], now[YAW_RATE])
 
 
 def between(poses: list[Pose], start_s: float, step_s: float) -> Callable[[float], Pose]:
@@ -37,13 +36,13 @@ def between(poses: list[Pose], start_s: float, step_s: float) -> Callable[[float
             x, y = known.x_m + way * math.cos(known.heading_rad), known.y_m + way * math.sin(known.heading_rad)
             return Pose(x, y, known.heading_rad, known.speed_mps, 0.0)
         share, one, other = at - k, poses[k], poses[k + 1]
-        return Pose(*(a + share * (b - a) for a, b in zip(one, other, strict=True)))
+        return Pose(*[a + share * (b - a) for a, b in zip(one, other, strict=True)])
 
     return own
 
 
 @lru_cache(maxsize=64)
-def _course(ego: EgoMotion, duration_s: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _course(ego: EgoMotion, duration_s: float) -> tuple[list[float], list[float], list[float], list[float]]:
     """Return times, speeds, ways and curvatures of a scenario's own motion every 20 ms; no curvatures if straight."""
     times = np.arange(0.0, duration_s + 0.02, 0.02)
     poses = [ego_pose(ego, float(t)) for t in times]
@@ -51,7 +50,8 @@ def _course(ego: EgoMotion, duration_s: float) -> tuple[Floats, Floats, Floats, 
     ways = np.concatenate([[0.0], np.cumsum((speeds[1:] + speeds[:-1]) / 2 * 0.02)])
     yaw = np.array([pose.yaw_rate_radps for pose in poses])
     curvatures = np.divide(yaw, speeds, out=np.zeros_like(yaw), where=np.abs(speeds) > 1e-6)
-    return times, speeds, ways, curvatures if curvatures.any() else curvatures[:0]
+    bends = curvatures.tolist() if curvatures.any() else []
+    return times.tolist(), speeds.tolist(), ways.tolist(), bends
 
 
 def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Vehicle, lets_go: bool) -> Hand:
@@ -60,13 +60,21 @@ def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Veh
     lets_go: the driver leaves throttle and brake alone, and steers.
     """
     times, speeds, ways, curvatures = _course(scenario.ego, scenario.duration_s)
-    curvature = float(np.interp(state.motion[WAY], ways, curvatures)) if len(curvatures) else 0.0
+    curvature = _interpolated(float(state.motion[WAY]), ways, curvatures) if curvatures else 0.0
     steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
     if lets_go:
         return Hand(0.0, steer, True)
-    wanted = float(np.interp(time_s, times, speeds))
-    soon = float(np.interp(time_s + _AHEAD_S, times, speeds)) - wanted
+    wanted = _interpolated(time_s, times, speeds)
+    soon = _interpolated(time_s + _AHEAD_S, times, speeds) - wanted
     return Hand(_throttle(wanted, soon / _AHEAD_S, state.speed_mps, vehicle), steer, True)
+
+
+def _interpolated(at: float, places: list[float], values: list[float]) -> float:
+    """Return what `np.interp` does of one number, without its calls."""
+    k = bisect_right(places, at) - 1
+    if k < 0 or k == len(places) - 1:
+        return values[max(k, 0)]
+    return (values[k + 1] - values[k]) / (places[k + 1] - places[k]) * (at - places[k]) + values[k]
 
 
 _AHEAD_S = 0.05

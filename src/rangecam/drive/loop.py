@@ -8,7 +8,6 @@ The same arguments give the same drive, bit for bit: nothing asks for the time o
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from rangecam.pipeline import Sink
 from rangecam.scene.paths import Pose
 from rangecam.scene.scenario import Scenario
 from rangecam.types import Floats
+from rangecam.values import changed
 from rangecam.vehicle.dynamics import BRAKE, HOLE_S, PERIOD_S, WHEEL, Road, VehicleState, move
 from rangecam.vehicle.sensors import discharged, measured_speed
 from rangecam.vehicle.unit import Control, UnitState, advance_unit
@@ -97,12 +97,13 @@ def _through_bus(
     status: list[CanFrame], sent: list[CanFrame], time_s: float, faults: Sequence[Fault]
 ) -> tuple[list[CanFrame], list[CanFrame]]:
     """Return what arrives at the perception and at the control unit a step later."""
-    if active(faults, time_s, "status_silence"):
-        status = []
-    if active(faults, time_s, "command_silence"):
-        sent = []
-    if active(faults, time_s, "wrong_magic"):
-        sent = [CanFrame(frame.can_id, frame.data[:-2] + b"\0\0") for frame in sent]
+    if faults:
+        if active(faults, time_s, "status_silence"):
+            status = []
+        if active(faults, time_s, "command_silence"):
+            sent = []
+        if active(faults, time_s, "wrong_magic"):
+            sent = [CanFrame(frame.can_id, frame.data[:-2] + b"\0\0") for frame in sent]
     return sorted(status, key=lambda frame: frame.can_id), sent
 
 
@@ -113,7 +114,7 @@ def _reported(car: VehicleState, time_s: float, faults: Sequence[Fault], log: "_
         return car
     motion = car.motion.copy()
     motion[PERIOD_S], motion[HOLE_S] = log.period_s, time_s
-    return replace(car, motion=motion)
+    return changed(car, motion=motion)
 
 
 class _Log:
@@ -140,9 +141,10 @@ class _Log:
         status: list[CanFrame],
     ) -> None:
         """Take in what was sent in a step, and how the brakes come on."""
+        takes = False
         for frame in (*sent, *status):
             self._bus[frame.can_id] += 1
-        takes = any(frame.can_id == MASTER_ID and frame.data[-2:] == MAGIC for frame in sent)
+            takes |= frame.can_id == MASTER_ID and frame.data[-2:] == MAGIC
         self._take_overs += takes
         if takes and not math.isfinite(self.braked_s):
             self._first_take_over(time_s, mind)

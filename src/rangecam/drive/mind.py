@@ -82,15 +82,16 @@ class Mind:
         self._image: RangeImage | None = None
         self._health: Health | None = None
         self._waiting: list[tuple[float, int, Perception, Frame]] = []
-        self._steer, self._forward, self._ego = 0.0, True, Ego()
+        self._steer, self._forward = 0.0, True
         self._inputs = Inputs(start_s)
         self._friction: float | None = None
+        self._thought: tuple[float, CarState | None, float] | None = None
         self.unit, self.frames = at_work(start_s) if unit is None else unit, 0
         self.frame: Frame | None = None
 
     def see(self, capture: Capture, received_s: float) -> None:
         """Process a frame that has arrived; its result is there after the latency of the processors."""
-        capture = changed(capture, ego=self._ego)
+        capture = changed(capture, ego=self._measured())
         frame = process_frame(capture.raw, self._tracks, capture.ego, self._config, before=self._image)
         self._tracks, self._image = frame.tracks, frame.image
         for sink in self._sinks:
@@ -113,16 +114,16 @@ class Mind:
 
     def think(self, time_s: float) -> list[CanFrame]:
         """Return what is to be sent now."""
-        self._inputs = changed(self._inputs, time_s=time_s)
+        found, car = self._inputs.perception, self._inputs.car
         while self._waiting and self._waiting[0][0] <= time_s:
             _, _, found, self.frame = heapq.heappop(self._waiting)
-            self._inputs = changed(self._inputs, perception=found)
         known = self.unit.friction.mu
+        self._inputs = Inputs(time_s, found, car)
         self.unit, _, frame = step(self.unit, self._inputs, self._brake)
+        self._thought = time_s, self._inputs.car, self._steer
         if self.unit.friction.mu != known:
             self._friction = cautious(self.unit.friction, self._brake.friction)
             self._brake = brake_settings(self._config, self._settings, self._friction)
-        self._ego = self._measured(time_s)
         return [] if frame is None else [frame]
 
     def leave(self) -> CanFrame:
@@ -131,13 +132,18 @@ class Mind:
         self.unit = replace(self.unit, gate=gate)
         return frame
 
-    def _measured(self, time_s: float) -> Ego:
-        """Return what is known of the own vehicle: the speed that the machine believes, the yaw rate by the wheel."""
-        car, vehicle = self._inputs.car, self._settings.vehicle
+    def _measured(self) -> Ego:
+        """Return what was known of the own vehicle at the last thought.
+
+        The speed is that which the machine believes, the yaw rate by the wheel.
+        """
+        if self._thought is None:
+            return Ego()
+        (time_s, car, steer), vehicle = self._thought, self._settings.vehicle
         if car is None:
             return Ego(time_s)
         speed = self.unit.state.speed_mps
-        steer = math.radians(vehicle.max_steer_deg) * self._steer
+        steer = math.radians(vehicle.max_steer_deg) * steer
         yaw_rate_radps = speed * math.tan(steer) / vehicle.wheelbase_m
         stops = self.unit.state.mode is Mode.STOPPING
         return Ego(time_s, speed, yaw_rate_radps, car.forward, stops, self._friction)

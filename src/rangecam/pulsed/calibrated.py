@@ -40,7 +40,7 @@ def calibrated(method: Method) -> Method:
 
     @wraps(method)
     def with_calibration(raw: RawFrame, camera: PulsedCamera) -> RangeImage:
-        if not (camera.range_curve_m or any(name.startswith(PLANES) for name in raw.planes)):
+        if not (camera.range_curve_m or _has_calibration(tuple(raw.planes))):
             return method(raw, camera)
         bare, points = _before(camera)
         image = method(_without_offset(raw, camera), bare)
@@ -51,6 +51,11 @@ def calibrated(method: Method) -> Method:
         return _limited(apply_curve(image, points, line, camera.far_margin_sigmas), camera)
 
     return with_calibration
+
+
+@lru_cache(maxsize=64)
+def _has_calibration(names: tuple[str, ...]) -> bool:
+    return any(name.startswith(PLANES) for name in names)
 
 
 @lru_cache(maxsize=8)

@@ -52,10 +52,10 @@ def _shutter_planes(
     """
     taken, apart_s = exposures(camera), window_step_s(camera)
     volts, count = responsivity(camera.pixel), len(taken)
-    shape = (count, camera.rows, camera.columns)
-    light_jpm2, slope_wpm2, ambient_wpm2 = np.empty(shape), np.zeros(shape), np.empty(shape)
-    widths_s = tuple(window[1] - window[0] for window, _ in taken.values())
-    jitter_s = camera.laser.trigger_jitter_s
+    shape, jitter_s = (count, camera.rows, camera.columns), camera.laser.trigger_jitter_s
+    light_jpm2, ambient_wpm2 = np.empty(shape), np.empty(shape)
+    slope_wpm2 = np.zeros(shape if differ(camera) else 0)
+    widths_s = tuple([window[1] - window[0] for window, _ in taken.values()])
     for i, (window, delay_s) in enumerate(taken.values()):
         seen = _look(view, time_s + (i - (count - 1) / 2) * apart_s, camera)
         light_jpm2[i] = laser_exposure(seen, window, delay_s, camera)
@@ -65,14 +65,14 @@ def _shutter_planes(
         ambient_wpm2[i] = ambient_irradiance(seen, camera)
     single_v = volts * electrical(light_jpm2, camera.crosstalk)  # eq 4.13
     ambient_vps = volts * ambient_wpm2
-    ambient_v = ambient_vps * np.reshape(widths_s, (-1, 1, 1))
+    ambient_v = ambient_vps * np.array(widths_s)[:, None, None]
     if differ(camera):
         slope_vps = volts * electrical(slope_wpm2, camera.crosstalk)
         single_v = mean_of_pulses(single_v, slope_vps, ambient_v, camera, rng)
     offset_v = offsets(shape, widths_s, camera.temperature_c, camera.pixel)
     values_v, n_acc = adapt(read_out(single_v, ambient_v, offset_v, camera.pixel, camera.averages, rng), camera.pixel)
     planes = {name: values_v[i].astype(np.float32) for i, name in enumerate(taken)}
-    return planes | {"n_acc": n_acc, "ambient": ambient_vps.mean(axis=0).astype(np.float32)}
+    return planes | {"n_acc": n_acc, "ambient": (ambient_vps.sum(axis=0) / count).astype(np.float32)}
 
 
 def _tap_planes(
@@ -110,8 +110,6 @@ def _look(view: Callable[[float], View], time_s: float, camera: PulsedCamera) ->
             f"view of shape {seen.range_m.shape}: the camera needs (rays, {camera.rows}, {camera.columns}), "
             "its rows and columns"
         )
-    if seen.reflectivity.min() < 0:
-        raise DataError(f"view with a reflectivity of {float(seen.reflectivity.min()):g}: it must be 0 or more")
     return seen
 
 
@@ -119,17 +117,20 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     """Return the exposure of one pulse within a window, J/m2 (H, W): the mean over the rays of each pixel.
 
     delay_s: of the pulse when it leaves. Blur, stray light and cover glass are in it (`camera.crosstalk`).
-    König 2008, eqs 3.11 and 3.16.
+    König 2008, eqs 3.11 and 3.16. Raises DataError for a negative reflectivity.
     """
     laser, _, cos_axis = _light(camera)
-    dtype = np.result_type(view.range_m, view.reflectivity, view.cos_incidence)
-    range_m, reflectivity, cos_incidence = (
-        np.ascontiguousarray(each, dtype) for each in (view.range_m, view.reflectivity, view.cos_incidence)
-    )
+    met: tuple[Floats, ...] = (view.range_m, view.reflectivity, view.cos_incidence)
+    if not met[0].dtype == met[1].dtype == met[2].dtype:
+        met = tuple(each.astype(np.result_type(*met)) for each in met)
+    range_m, reflectivity, cos_incidence = (np.ascontiguousarray(each) for each in met)
     delays_s, collected_s = correlation_curve(window, camera)
     apart, seconds_per_metre = camera.crosstalk.blur, 2 / camera.speed_of_light_mps
     light = np.zeros(range_m.shape if apart else (1, *range_m.shape[1:]))
-    _expose(range_m, reflectivity, cos_incidence, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
+    rays = range_m, reflectivity, cos_incidence
+    darkest = _expose(*rays, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
+    if darkest < 0:
+        raise DataError(f"view with a reflectivity of {darkest:g}: it must be 0 or more")
     if apart:
         return optical(light, view.range_m * cos_axis, camera)
     light /= len(range_m)
@@ -150,13 +151,14 @@ def _expose(
 ) -> Any:
     """Add the exposure by each ray (K, H, W), or by all of a pixel together (1, H, W), to zeros.
 
-    Between the points of the correlation it is interpolated.
+    Between the points of the correlation it is interpolated. Return the smallest reflectivity, inf without a ray.
     """
     (count, rows, columns), layers = range_m.shape, len(light)
-    last = len(delays_s) - 1
+    last, darkest = len(delays_s) - 1, np.inf
     for k in range(count):
         for r in range(rows):
             for c in range(columns):
+                darkest = min(darkest, np.float64(reflectivity[k, r, c]))
                 away_m = max(np.float64(range_m[k, r, c]), _NEAREST_M)
                 at_s = delay_s + seconds_per_metre * away_m
                 if delays_s[0] < at_s < delays_s[last]:
@@ -165,6 +167,7 @@ def _expose(
                     met_s = collected_s[i - 1] + part * (collected_s[i] - collected_s[i - 1])
                     bright = laser[r, c] * np.float64(reflectivity[k, r, c]) * np.float64(cos_incidence[k, r, c])
                     light[min(k, layers - 1), r, c] += bright / away_m**2 * met_s
+    return darkest
 
 
 def ambient_irradiance(view: View, camera: PulsedCamera) -> Floats:

@@ -9,6 +9,7 @@ from rangecam.pulsed.settings import PulsedCamera
 from rangecam.pulsed.signal import Window, check_edges, correlation_curve, edges_s, exposures, gate_windows
 
 
+@lru_cache(maxsize=64)
 def max_frame_rate_hz(camera: PulsedCamera) -> float:
     """Return the images a second that exposure and read-out allow (König 2008, eq 4.48, for any number of windows).
 
@@ -24,6 +25,7 @@ def window_step_s(camera: PulsedCamera) -> float:
     return 1 / camera.laser.repetition_hz if camera.shutter_order == "alternating" else _window_s(camera)
 
 
+@lru_cache(maxsize=64)
 def _window_s(camera: PulsedCamera) -> float:
     """Return how long the pulses of one window and its read-outs take."""
     pixel, sequencer = camera.pixel, camera.sequencer

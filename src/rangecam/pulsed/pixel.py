@@ -24,6 +24,7 @@ def volts_per_coulomb(pixel: Pixel) -> float:
     return pixel.follower_gain * pixel.clamp_capacitance_f / pixel.feedback_capacitance_f / capacitance_f
 
 
+@lru_cache(maxsize=16)
 def responsivity(pixel: Pixel) -> float:
     """Return the output voltage per exposure of one pulse, V/(J/m2) (König 2008, eq 4.13)."""
     area_m2 = pixel.pitch_horizontal_m * pixel.pitch_vertical_m
@@ -115,8 +116,9 @@ def read_out(
     shape = (averages, len(steps), *ambient_v.shape)
     flat = (*shape[:3], -1)
     values_v = np.empty(shape)
+    mean_of = (1, 1) if single_v.ndim == 3 else shape[:2]
     _read_out(
-        np.broadcast_to(single_v, shape).reshape(flat),
+        single_v.reshape(*mean_of, shape[2], -1),
         ambient_v.reshape(len(ambient_v), -1),
         offset_v.reshape(len(steps), len(ambient_v), -1),
         rng.standard_normal((2, *shape), np.float32).reshape(2, *flat),
@@ -157,8 +159,9 @@ def _read_out(
             noise_v[:], before_v2[:] = 0.0, 0.0
             for k in range(count):
                 n, d = steps[k], damped[k]
+                means_v = single_v[min(a, len(single_v) - 1), min(k, single_v.shape[1] - 1), s]
                 for i in range(pixels):
-                    mean_v = single_v[a, k, s, i]
+                    mean_v = means_v[i]
                     so_far_v2 = n * (sensor_v2 + per_photon * (max(mean_v, 0.0) + 2 * ambient_v[s, i]))
                     noise_v[i] += np.sqrt(max(so_far_v2 - before_v2[i], 0.0)) * deviates[0, a, k, s, i]
                     before_v2[i] = so_far_v2
@@ -175,15 +178,20 @@ def adapt(values_v: Floats, pixel: Pixel) -> tuple[Floats, NDArray[np.uint8]]:
     """
     averages, count, windows, *image = values_v.shape
     chosen_v, n_acc = np.empty((windows, *image)), np.empty(image, np.uint8)
-    steps = np.array(sorted(pixel.accumulations), np.uint8)
     _adapt(
         values_v.reshape(averages, count, windows, -1),
-        steps,
+        _numbers(pixel),
         pixel.saturation_v,
         chosen_v.reshape(windows, -1),
         n_acc.reshape(-1),
     )
     return chosen_v, n_acc
+
+
+@lru_cache(maxsize=16)
+def _numbers(pixel: Pixel) -> NDArray[np.uint8]:
+    """Return the numbers of accumulations, in order."""
+    return np.array(sorted(pixel.accumulations), np.uint8)
 
 
 @njit(cache=True, nogil=True)

@@ -30,36 +30,41 @@ def placed(
     Columns of the balls (N or N + 1, 6): centre x, y, z; squared radius; first shape, last shape + 1. An object without
     shapes has a ball of radius zero and no shapes.
     """
-    template, starts = _templates(objects, ground_reflectivity)
-    still, moving = _still(objects, ground_reflectivity is not None)
-    now = still.copy()
-    for i in moving:
-        now[i] = _now(objects[i], time_s)
-    if ground_reflectivity is not None:
-        now[-1] = own.x_m, own.y_m, 0.0, own.heading_rad, 0.0, 0.0
+    template, starts, still, moving = _known(objects, ground_reflectivity)
+    now = still.copy() if moving else still
+    for i, thing, swings in moving:
+        now[i] = _now(thing, time_s, swings)
     shapes, balls = np.empty((len(template), 12)), np.empty((len(starts) - 1, 6))
-    turned = np.array([own.x_m, own.y_m, own.heading_rad])
-    _place(template, starts, now, turned, origin_m, shapes, balls)
+    at = float(own.x_m), float(own.y_m), float(own.heading_rad)
+    _place(template, starts, now, at, origin_m, shapes, balls)
     return shapes, balls
 
 
 @lru_cache(maxsize=64)
-def _still(objects: tuple[SceneObject, ...], with_ground: bool) -> tuple[Floats, tuple[int, ...]]:
-    """Return what `_now` says of objects that stay where they are (N or N + 1, 6), and the numbers of the others."""
-    rows = np.zeros((len(objects) + with_ground, 6))
-    moving = tuple(i for i, thing in enumerate(objects) if not stands(thing.path))
-    for i in set(range(len(objects))) - set(moving):
-        rows[i] = _now(objects[i], 0.0)
-    return rows, moving
+def _known(
+    objects: tuple[SceneObject, ...], ground_reflectivity: float | None
+) -> tuple[Floats, Ints, Floats, list[tuple[int, SceneObject, bool]]]:
+    """Return `_templates`, what `_now` says of those that stay where they are (N or N + 1, 6), and who does not.
+
+    Of these also whether they swing their limbs.
+    """
+    template, starts = _templates(objects, ground_reflectivity)
+    rows, moving = np.zeros((len(starts) - 1, 6)), []
+    for i, thing in enumerate(objects):
+        if stands(thing.path):
+            rows[i] = _now(thing, 0.0, _swings(thing))
+        else:
+            moving.append((i, thing, _swings(thing)))
+    return template, starts, rows, moving
 
 
-def _now(thing: SceneObject, time_s: float) -> tuple[float, float, float, float, float, float]:
+def _now(thing: SceneObject, time_s: float, swings: bool) -> tuple[float, float, float, float, float, float]:
     """Return x, y, z, heading, phase of the stride and how far it swings, 0..1."""
     (x, y, z), velocity_mps = place_and_velocity(thing.path, time_s)
     heading = math.radians(thing.heading_deg)
     if thing.follow_path:
         heading += direction_rad(thing.path, time_s)
-    if not _swings(thing):
+    if not swings:
         return x, y, z, heading, 0.0, 0.0
     body = BODIES[thing.body]
     phase = 2 * math.pi * travelled_m(thing.path, time_s) / (body.stride_m * thing.scale)
@@ -67,13 +72,11 @@ def _now(thing: SceneObject, time_s: float) -> tuple[float, float, float, float,
     return x, y, z, heading, phase, min(speed / full, 1.0) if full else 1.0
 
 
-@lru_cache(maxsize=1024)
 def _swings(thing: SceneObject) -> bool:
     rods = [shape for shape in shapes_of(thing) if isinstance(shape, Rod)]
     return any(swing != Swing() for rod in rods for swing in (rod.start_swing, rod.end_swing))
 
 
-@lru_cache(maxsize=64)
 def _templates(objects: tuple[SceneObject, ...], ground_reflectivity: float | None) -> tuple[Floats, Ints]:
     """Return the shapes in axes of their objects (S, 18), and where those of each object start (N + 1,).
 
@@ -120,6 +123,8 @@ def _place(template: Any, starts: Any, now: Any, own: Any, origin: Any, shapes: 
         x = cos_own * east + sin_own * north - origin[0]
         y = cos_own * north - sin_own * east - origin[1]
         z, turn = now[i, 2] - origin[2], now[i, 3] - own[2]
+        if starts[i] < starts[i + 1] and template[starts[i], 0] == PLANE:
+            x, y, turn = -origin[0], -origin[1], 0.0  # the ground is under us wherever we are
         c, s = math.cos(turn), math.sin(turn)
         for k in range(starts[i], starts[i + 1]):
             of, to = template[k], shapes[k]

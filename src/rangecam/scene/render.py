@@ -145,11 +145,16 @@ def _cast_rays(
     """Return range, reflectivity, cosine of incidence and, if `numbered`, object of every ray, each (K, H, W)."""
     pose = own_pose(scenario, time_s, own)
     shapes, balls = placed(scenario.objects, time_s, pose, bundle.origin_m, scenario.ground_reflectivity)
-    range_m, reflectivity, cos_incidence = (np.empty(bundle.shape, np.float32) for _ in range(3))
-    object_id = np.empty(bundle.shape if numbered else 0, np.int32)
-    seen = range_m.ravel(), reflectivity.ravel(), cos_incidence.ravel(), object_id.ravel()
-    _cast(bundle.directions, bundle.place, bundle.cones, bundle.runs, shapes, balls, *seen)
-    return range_m, reflectivity, cos_incidence, object_id
+    # rays keep one number of what they hit: its reflectivity, or which shape it is
+    mark = np.arange(1, len(shapes) + 1) if numbered else shapes[:, 9]
+    range_m, marked, cos_incidence = (np.empty(bundle.shape, np.float32) for _ in range(3))
+    seen = range_m.reshape(-1), marked.reshape(-1), cos_incidence.reshape(-1)
+    _cast(bundle.directions, bundle.place, bundle.cones, bundle.runs, shapes, mark.astype(np.float32), balls, *seen)
+    if not numbered:
+        return range_m, marked, cos_incidence, np.empty(0, np.int32)
+    shape = marked.astype(np.intp)
+    reflectivity, object_id = (np.append(0, shapes[:, column])[shape] for column in (9, 10))
+    return range_m, reflectivity.astype(np.float32), cos_incidence, object_id.astype(np.int32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -159,21 +164,19 @@ def _cast(
     cones: Any,
     runs: Any,
     shapes: Any,
+    mark: Any,
     balls: Any,
     range_m: Any,
-    reflectivity: Any,
+    marked: Any,
     cos_incidence: Any,
-    object_id: Any,
 ) -> Any:
     """Keep the nearest hit of each ray; a run of rays skips objects and shapes whose ball its cone does not touch."""
     of_objects, of_shapes = _seen_from_origin(balls, 0, 3), _seen_from_origin(shapes, 1, 11)
-    rho, number = np.zeros(len(shapes) + 1, np.float32), np.zeros(len(shapes) + 1, np.int32)
-    rho[1:], number[1:] = shapes[:, 9], shapes[:, 10]
-    nearest, cosine, shape = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.int32)
+    nearest, cosine, what = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
     for run in range(len(runs)):
         cone, first, last, in_row = cones[run], runs[run, 0], runs[run, 1], runs[run, 2]
         ray = (directions[0, first:last], directions[1, first:last], directions[2, first:last])
-        hit = (nearest[: last - first], cosine[: last - first], shape[: last - first])
+        hit = (nearest[: last - first], cosine[: last - first], what[: last - first])
         hit[0][:], hit[1][:], hit[2][:] = np.inf, 0, 0
         for i in range(len(balls)):
             begin, end = int(balls[i, 4]), int(balls[i, 5])
@@ -181,21 +184,20 @@ def _cast(
                 continue
             for k in range(begin, end):
                 if end == begin + 1 or _may_touch(cone, of_shapes, k):
-                    _cast_shape(ray, cone, shapes[k], k + 1, hit)
-        for start in range(0, last - first, in_row):
-            to = place[first + start]
-            _keep(hit, start, rho, range_m[to : to + in_row], reflectivity[to : to + in_row], cos_incidence[to:])
-            if object_id.size:
-                for i in range(in_row):
-                    object_id[to + i] = number[shape[start + i]]
+                    _cast_shape(ray, cone, shapes[k], mark[k], hit)
+        _keep(hit[0], place[first:last], in_row, range_m)
+        _keep(hit[1], place[first:last], in_row, cos_incidence)
+        _keep(hit[2], place[first:last], in_row, marked)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _keep(hit: Any, start: Any, rho: Any, range_m: Any, reflectivity: Any, cos_incidence: Any) -> Any:
-    """Fill part of a row of the image with the hits from `start` on."""
-    nearest, cosine, shape = hit[0][start:], hit[1][start:], hit[2][start:]
-    for i in range(range_m.size):
-        range_m[i], cos_incidence[i], reflectivity[i] = nearest[i], cosine[i], rho[shape[i]]
+def _keep(found: Any, place: Any, in_row: Any, image: Any) -> Any:
+    """Fill a tile of an image, row by row; indices without a sign need no check whether they count from the end."""
+    in_row = np.uintp(in_row)
+    for start in range(np.uintp(0), np.uintp(len(place)), in_row):
+        to = np.uintp(place[start])
+        for i in range(np.uintp(0), in_row):
+            image[to + i] = found[start + i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -227,28 +229,61 @@ def _may_touch(cone: Any, seen: Any, i: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_shape(ray: Any, cone: Any, shape: Any, number: Any, hit: Any) -> Any:
-    if shape[0] == ROD:
-        _cast_rod(ray, shape, number, hit[0], hit[1], hit[2])
-    elif shape[0] == CYLINDER:
-        _cast_cylinder(ray, shape, number, hit[0], hit[1], hit[2])
-    elif shape[0] != PLANE:
-        _cast_box(ray, shape, number, hit[0], hit[1], hit[2])
-    elif cone[2] < cone[4] or cone[3] <= 0:  # else all of its rays go up
-        _cast_plane(ray, shape, number, hit[0], hit[1], hit[2])
+def _may_enter(cone: Any, box: Any) -> Any:
+    """Return whether a ray of a cone from the origin can be between all three pairs of faces of a box at once.
+
+    A long box fills little of the ball around it. Seen along the box, the cone has directions from `low` to `high` on
+    each axis: the first of them that is there between the faces, and the last that still is, are bounds for them all.
+    Margins are many times the rounding of float32, so that no hit is lost.
+    """
+    if cone[3] <= 0:
+        return True
+    c, s = box[4], box[5]
+    axis = (c * cone[0] + s * cone[1], c * cone[1] - s * cone[0], cone[2])
+    start = (-(c * box[1] + s * box[2]), -(c * box[2] - s * box[1]), -box[3])
+    enter, leave = 0.0, np.inf
+    for i in range(3):
+        along, aside = axis[i] * cone[3], math.sqrt(max(1 - axis[i] * axis[i], 0.0)) * cone[4]
+        low = (along - aside if axis[i] > -cone[3] else -1.0) - 1e-6
+        high = (along + aside if axis[i] < cone[3] else 1.0) + 1e-6
+        if start[i] > 0:  # look at it from the other side
+            low, high = -high, -low
+        before = abs(start[i])
+        half = box[6 + i] + 1e-6 * (before + box[6 + i])
+        if before > half:
+            if high <= 0:
+                return False
+            enter = max(enter, (before - half) / high)
+        if low > 0:
+            leave = min(leave, (before + half) / low)
+        elif high < 0:
+            leave = min(leave, (before - half) / high)
+    return enter <= leave * (1 + 1e-5)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_box(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
+def _cast_shape(ray: Any, cone: Any, shape: Any, mark: Any, hit: Any) -> Any:
+    if shape[0] == ROD:
+        _cast_rod(ray, shape, mark, hit[0], hit[1], hit[2])
+    elif shape[0] == CYLINDER:
+        _cast_cylinder(ray, shape, mark, hit[0], hit[1], hit[2])
+    elif shape[0] != PLANE:
+        if _may_enter(cone, shape):
+            _cast_box(ray, shape, mark, hit[0], hit[1], hit[2])
+    elif cone[2] < cone[4] or cone[3] <= 0:  # else all of its rays go up
+        _cast_plane(ray, shape, mark, hit[0], hit[1], hit[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_box(ray: Any, shape: Any, mark: Any, range_m: Any, cos_incidence: Any, marked: Any) -> Any:
     """A ray is inside a box while it is between all three pairs of faces; the last one entered is the face it hits."""
     c, s = np.float32(shape[4]), np.float32(shape[5])
     ox = np.float32(-(shape[4] * shape[1] + shape[5] * shape[2]))
     oy = np.float32(-(shape[4] * shape[2] - shape[5] * shape[1]))
     oz = np.float32(-shape[3])
     hx, hy, hz = np.float32(shape[6]), np.float32(shape[7]), np.float32(shape[8])
-    number = np.int32(number)
     for i in range(range_m.size):
-        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], marked[i])  # read first: the loop has no branch then
         east, north, up = ray[0][i], ray[1][i], ray[2][i]
         dx, dy, dz = _not_zero(c * east + s * north), _not_zero(c * north - s * east), _not_zero(up)
         in_x, out_x = _between(ox, dx, hx)
@@ -263,17 +298,17 @@ def _cast_box(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: An
         hit = (enter > 0) & (enter <= leave) & (enter < known[0])
         range_m[i] = enter if hit else known[0]
         cos_incidence[i] = cosine if hit else known[1]
-        shape_hit[i] = number if hit else known[2]
+        marked[i] = mark if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_cylinder(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
+def _cast_cylinder(ray: Any, shape: Any, mark: Any, range_m: Any, cos_incidence: Any, marked: Any) -> Any:
     """A ray is inside a cylinder while it is inside the circle and between the ends."""
     ox, oy, oz = np.float32(-shape[1]), np.float32(-shape[2]), np.float32(-shape[3])
     radius, half = np.float32(shape[6]), np.float32(shape[8])
-    number, zero = np.int32(number), np.float32(0)
+    zero = np.float32(0)
     for i in range(range_m.size):
-        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], marked[i])  # read first: the loop has no branch then
         dx, dy, dz = ray[0][i], ray[1][i], _not_zero(ray[2][i])
         flat2 = _not_zero(dx * dx + dy * dy)
         along = ox * dx + oy * dy
@@ -290,26 +325,25 @@ def _cast_cylinder(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidenc
         hit = (square > zero) & (enter > zero) & (enter <= leave) & (enter < known[0])
         range_m[i] = enter if hit else known[0]
         cos_incidence[i] = cosine if hit else known[1]
-        shape_hit[i] = number if hit else known[2]
+        marked[i] = mark if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_plane(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
+def _cast_plane(ray: Any, shape: Any, mark: Any, range_m: Any, cos_incidence: Any, marked: Any) -> Any:
     """Light from above reaches a level plane along every ray that goes down."""
     height, farthest = np.float32(-shape[3]), np.float32(shape[6])
-    number = np.int32(number)
     for i in range(range_m.size):
-        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], marked[i])  # read first: the loop has no branch then
         down = _not_zero(-ray[2][i])
         enter = height / down
         hit = (enter > np.float32(0)) & (down > np.float32(0)) & (enter < farthest) & (enter < known[0])
         range_m[i] = enter if hit else known[0]
         cos_incidence[i] = down if hit else known[1]
-        shape_hit[i] = number if hit else known[2]
+        marked[i] = mark if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_rod(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: Any, shape_hit: Any) -> Any:
+def _cast_rod(ray: Any, shape: Any, mark: Any, range_m: Any, cos_incidence: Any, marked: Any) -> Any:
     """A rod is the union of a side without ends and a ball at each end; the nearest of the three is what a ray hits.
 
     With m from its middle to the origin, u its direction and d that of the ray: the discriminant of the side is
@@ -321,9 +355,8 @@ def _cast_rod(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: An
     gx, gy, gz = uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx
     along_m = ux * mx + uy * my + uz * mz
     zero, infinite, steep, inverse = np.float32(0), np.float32(np.inf), np.float32(1e-5), np.float32(1) / radius
-    number = np.int32(number)
     for i in range(range_m.size):
-        known = (range_m[i], cos_incidence[i], shape_hit[i])  # read first: the loop has no branch then
+        known = (range_m[i], cos_incidence[i], marked[i])  # read first: the loop has no branch then
         dx, dy, dz = ray[0][i], ray[1][i], ray[2][i]
         along_d = ux * dx + uy * dy + uz * dz
         open_ = np.float32(1) - along_d * along_d
@@ -343,7 +376,7 @@ def _cast_rod(ray: Any, shape: Any, number: Any, range_m: Any, cos_incidence: An
         hit = enter < known[0]
         range_m[i] = enter if hit else known[0]
         cos_incidence[i] = cosine * inverse if hit else known[1]
-        shape_hit[i] = number if hit else known[2]
+        marked[i] = mark if hit else known[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -1,11 +1,10 @@
 """What a camera could see at one moment: the meeting point of the scene and the simulated cameras."""
 
-from dataclasses import dataclass
-
 from rangecam.types import Floats
+from rangecam.values import value
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class View:
     """Range, reflectivity and incidence along K rays within each pixel (more than one gives mixed pixels at edges).
 

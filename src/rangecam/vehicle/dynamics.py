@@ -11,6 +11,7 @@ standstill is found within the step, exactly for constant force, and a vehicle t
 """
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,7 +95,7 @@ def move(state: VehicleState, command: Command, dt_s: float, vehicle: Vehicle, r
     """
     latest = state.pending[-1][1] if state.pending else state.command
     pending = state.pending if command == latest else (*state.pending, (state.time_s + vehicle.brake_delay_s, command))
-    applied = state.command._replace(drive=command.drive, steer=command.steer, forward=command.forward)
+    applied = Command(command.drive, state.command.brake, command.steer, command.forward)
     motion, at_s, end_s = state.motion, state.time_s, state.time_s + dt_s
     while pending and pending[0][0] <= end_s:
         (arrival_s, arrived), *rest = pending
@@ -113,9 +114,10 @@ def _moved(motion: Floats, start_s: float, dt_s: float, command: Command, vehicl
     return new
 
 
-def _facts(vehicle: Vehicle) -> tuple[float, ...]:
+@lru_cache(maxsize=16)
+def _facts(vehicle: Vehicle) -> Floats:
     """Return what `_integrate` is told of the vehicle."""
-    return (
+    facts = (
         vehicle.drive_mps2,
         vehicle.max_speed_mps,
         vehicle.brake_mps2,
@@ -128,6 +130,7 @@ def _facts(vehicle: Vehicle) -> tuple[float, ...]:
         vehicle.wheelbase_m,
         vehicle.sensor.hole_m,
     )
+    return np.array(facts)
 
 
 @njit(cache=True, nogil=True)

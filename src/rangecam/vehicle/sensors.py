@@ -1,6 +1,7 @@
 """What a vehicle measures of itself: speed by the holes of a disc, voltages, currents, heat (S-VEH-02, S-VEH-03)."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 from rangecam.values import changed
@@ -85,6 +86,12 @@ def open_circuit_v(state: VehicleState, vehicle: Vehicle) -> float:
     return battery.full_v + used * (battery.empty_v - battery.full_v)
 
 
+@lru_cache(maxsize=16)
+def _warmed(dt_s: float) -> list[float]:
+    """Return how much of the way to its last temperature each part has gone after `dt_s`."""
+    return [1 - math.exp(-dt_s / tau_s) for tau_s in _HEATING_S]
+
+
 _HEATING_S = (60.0, 20.0, 300.0, 120.0)
 _CONTROL_LOSS = 0.05  # of what passes the motor control; *open*
 
@@ -104,7 +111,7 @@ def discharged(state: VehicleState, vehicle: Vehicle, dt_s: float) -> VehicleSta
     )
     outside = state.heat_c[4]
     heat = [
-        warm + (1 - math.exp(-dt_s / tau_s)) * (outside + k * loss - warm)
-        for warm, loss, tau_s, k in zip(state.heat_c[:4], losses_w, _HEATING_S, vehicle.heating_k_per_w, strict=True)
+        warm + share * (outside + k * loss - warm)
+        for warm, loss, share, k in zip(state.heat_c[:4], losses_w, _warmed(dt_s), vehicle.heating_k_per_w, strict=True)
     ]
     return changed(state, charge_as=state.charge_as + battery_a * dt_s, heat_c=(*heat, outside))
