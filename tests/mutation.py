@@ -22,7 +22,7 @@ VALUES = "test_brake_values.py"
 TARGETS = {
     "brake.machine": [VALUES, "test_brake_machine.py", "test_brake_gate.py"],
     "brake.unit": [VALUES, "test_brake_gate.py", "test_brake_health.py"],
-    "brake.decision": ["test_brake.py", "test_collision_distribution.py"],
+    "brake.decision": ["test_brake.py", "test_brake_probability.py"],
     "brake.rule": ["test_brake.py", "test_brake_probability.py"],
     "brake.gate": [VALUES, "test_brake_gate.py"],
     "brake.health": [VALUES, "test_brake_health.py"],

@@ -463,6 +463,24 @@ def test_a_demand_ends_when_no_more_than_the_share_is_needed() -> None:
     assert keeps_braking(Threat(0.999, 2.0, 900.0), settings)
 
 
+def test_at_the_end_of_the_range_nothing_counts_and_as_often_as_is_asked_is_often_enough() -> None:
+    settings = dataclasses.replace(EXACT, range_m=2.5, margin=2.0, min_seen=0.5, sure_hits=10, deceleration_mps2=1.0)
+    for distance_m, brakes in ((2.5, False), (2.49, True)):
+        assert must_brake(Threat(distance_m, 2.0, 900.0), 2.0, True, settings) == brakes
+    for hits, brakes in ((4.0, True), (3.9, False)):
+        assert must_brake(Threat(2.0, 2.0, 900.0, hits=hits, age=8.0), 2.0, True, settings) == brakes
+
+
+def test_what_comes_up_to_a_car_that_has_stopped_for_it_does_not_brake_it() -> None:
+    row = {"x": 1.0, "vx": -2.0}
+    stands, rolls = (Ego(speed_mps=speed, braking=True) for speed in (0.0, 0.1))
+    slow = {"min_speed_mps": 0.5}
+    assert not decided(row, ego=stands, **slow).brake
+    assert decided(row, ego=rolls, **slow).brake
+    assert not decided(row, ego=Ego(speed_mps=0.1), **slow).brake
+    assert not decided({"x": 4.0, "vx": -0.3}, ego=rolls, **slow).brake
+
+
 def test_what_stands_at_contact_needs_no_deceleration() -> None:
     assert needed_deceleration(0.0, 0.0, EXACT) == 0.0
 

@@ -47,20 +47,20 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
     settings = on_ground(settings, ego.friction)
     collisions, in_path = look_ahead(tracks, ego, settings.corridor, settings.min_probability)
     known = ego.speed_mps if ego.speed_mps is not None and math.isfinite(ego.speed_mps) else None
-    chosen: tuple[InPath, Threat, float] | None = None
-    brake, must_brake = False, RULES[settings.rule]
+    chosen: tuple[InPath, Threat, float, bool] | None = None
+    must_brake = RULES[settings.rule]
     for each in in_path:
         threat = _threat(each, known, settings)
         own_speed = threat.closing_speed_mps if known is None else known
         brake = must_brake(threat, own_speed, ego.forward, settings)
         brake = brake or (ego.braking and own_speed > 0 and keeps_braking(threat, settings))
         if brake or chosen is None:
-            chosen = each, threat, own_speed
+            chosen = each, threat, own_speed, brake
         if brake:
             break
     if chosen is None:
         return Decision(time_s=tracks.time_s, brake=False, reason="no object in the path", collisions=collisions)
-    track, threat, own_speed = chosen
+    track, threat, own_speed, brake = chosen
     stopping_m = stopping_distance(own_speed, own_speed - threat.closing_speed_mps, settings)
     return Decision(
         time_s=tracks.time_s,
