@@ -18,15 +18,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SOURCE, TESTS = ROOT / "src" / "rangecam", ROOT / "tests"
+VALUES = "test_brake_values.py"
 TARGETS = {
-    "brake.machine": ["test_brake_machine.py", "test_brake_gate.py"],
-    "brake.unit": ["test_brake_gate.py", "test_brake_health.py"],
-    "brake.decision": ["test_brake.py"],
-    "brake.rule": ["test_brake.py"],
-    "brake.gate": ["test_brake_gate.py"],
-    "brake.health": ["test_brake_health.py"],
-    "brake.friction": ["test_brake_health.py"],
-    "can.codec": ["test_can.py"],
+    "brake.machine": [VALUES, "test_brake_machine.py", "test_brake_gate.py"],
+    "brake.unit": [VALUES, "test_brake_gate.py", "test_brake_health.py"],
+    "brake.decision": ["test_brake.py", "test_collision_distribution.py"],
+    "brake.rule": ["test_brake.py", "test_brake_probability.py"],
+    "brake.gate": [VALUES, "test_brake_gate.py"],
+    "brake.health": [VALUES, "test_brake_health.py"],
+    "brake.friction": [VALUES, "test_brake_health.py", "test_brake_gate.py"],
+    "can.codec": [VALUES, "test_can.py"],
 }
 LIMIT_S = 60
 """A mutant that runs longer than this loops, and counts as found."""
@@ -128,7 +129,10 @@ def survives(name: str, tree: ast.Module, path: Path, tests: list[str]) -> bool:
             sys.meta_path.insert(0, Substitute(name, tree, path))
             import pytest
 
-            select = ["-k", "not bus and not command and not monitor and not socketcan and not sent and not calls"]
+            select = [
+                "-k",
+                "not bus and not command and not monitor and not socketcan and not any_message and not calls",
+            ]
             call = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *(select if name.endswith("codec") else [])]
             code = int(pytest.main([*call, *(str(TESTS / test) for test in tests)]))
         finally:

@@ -17,6 +17,7 @@ from rangecam.brake.rule import (
     Threat,
     full_deceleration,
     is_object,
+    keeps_braking,
     must_brake,
     needed_deceleration,
     stopping_distance,
@@ -252,6 +253,14 @@ def test_where_nobody_measures_the_own_speed_the_closing_speed_decides() -> None
     assert not decided({"x": 0.1, "vx": -0.5, "pixels": 800.0}).brake  # slow
 
 
+def test_where_the_friction_is_known_it_replaces_that_of_the_settings() -> None:
+    row = {"x": 2.5, "vx": -3.0, "near": 0.2}
+    usual, slippery = (decided(row, ego=Ego(speed_mps=3.0, friction=each)) for each in (None, 0.1))
+    assert usual.stopping_distance_m < slippery.stopping_distance_m
+    told = decided(row, ego=Ego(speed_mps=3.0), friction=0.1, deceleration_mps2=None)
+    assert slippery.stopping_distance_m == told.stopping_distance_m
+
+
 @pytest.mark.parametrize(
     ("row", "ego", "ending"),
     [
@@ -423,3 +432,56 @@ def test_inputs_are_not_modified() -> None:
     decide(tracks, Ego(speed_mps=3.0), MODEL_CAR)
     for name, values in before.items():
         np.testing.assert_array_equal(getattr(tracks, name), values)
+
+
+# -- exactly at the limits --------------------------------------------------------------------------------------------
+
+
+EXACT = dataclasses.replace(MODEL_CAR, margin=1.0, deceleration_mps2=2.0, reaction_time_s=0.5, large_object_px=750.0)
+
+
+def test_a_way_that_is_just_long_enough_demands_nothing() -> None:
+    assert stopping_distance(2.0, 0.0, EXACT) == 2.0
+    assert not must_brake(Threat(2.0, 2.0, 900.0), 2.0, True, EXACT)
+    assert must_brake(Threat(1.999, 2.0, 900.0), 2.0, True, EXACT)
+
+
+def test_as_many_pixels_as_are_asked_for_are_not_yet_more() -> None:
+    pitch_deg = 0.5
+    side_m = 4 * math.radians(pitch_deg)  # 4 x 4 pixels at 1 m
+    settings = dataclasses.replace(EXACT, pixel_pitch_deg=pitch_deg, min_object_m=side_m, min_object_px=3.0)
+    assert not is_object(Threat(1.0, 1.0, 16.0), settings)
+    assert is_object(Threat(1.0, 1.0, 17.0), settings)
+    assert not is_object(Threat(0.0, 1.0, 750.0), settings)
+    strict = dataclasses.replace(settings, min_object_px=17.0)
+    assert not is_object(Threat(1.0, 1.0, 17.0), strict)
+
+
+def test_a_demand_ends_when_no_more_than_the_share_is_needed() -> None:
+    settings = dataclasses.replace(EXACT, deceleration_mps2=4.0, release_share=0.5)
+    assert not keeps_braking(Threat(1.0, 2.0, 900.0), settings)
+    assert keeps_braking(Threat(0.999, 2.0, 900.0), settings)
+
+
+def test_what_stands_at_contact_needs_no_deceleration() -> None:
+    assert needed_deceleration(0.0, 0.0, EXACT) == 0.0
+
+
+def test_a_closing_speed_at_the_limit_of_what_is_certain_is_none_and_that_of_a_standing_object_ours() -> None:
+    settings = dataclasses.replace(EXACT, speed_sigmas=2.0)
+    assert closing_speed(-2.0, 1.0, None, settings) == 0.0
+    assert closing_speed(-2.5, 0.25, 3.0, settings) == 3.0
+    assert closing_speed(-2.5, 0.25, 3.01, settings) == 2.5
+
+
+def test_an_empty_scene_does_not_brake() -> None:
+    decision = decided(ego=Ego(speed_mps=3.0))
+    assert not decision.brake
+    assert (decision.reason, decision.track_id) == ("no object in the path", 0)
+
+
+def test_of_what_is_not_told_of_a_threat_nothing_speaks_against_braking() -> None:
+    threat = Threat(1.0, 2.0, 900.0)
+    assert math.isnan(threat.speed_mps)
+    assert (threat.p_lateral, threat.hits, threat.age) == (1.0, math.inf, 1.0)
+    assert (threat.distance_sigma_m, threat.speed_sigma_mps, threat.covariance, threat.braking_mps2) == (0.0,) * 4

@@ -150,6 +150,4 @@ def test_the_unit_brakes_for_a_box_and_says_nothing_while_it_is_not_armed() -> N
             assert (request.action is Action.BRAKE) == (i < 16 or i >= 50)
             assert (frame is not None) == (sends and (i < 27 or i >= 50))
         assert dict(unit.gate.refused) == ({} if sends else {Refusal.NOT_ARMED: 15 + 11 + 10})
-        assert math.isnan(unit.friction.began_s) != sends
-        if sends:
-            assert unit.friction.began_s == 1.0
+        assert unit.friction.braking == sends

@@ -2,15 +2,15 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from rangecam.brake.friction import Friction, FrictionSettings, observe, with_friction
+from rangecam.brake.friction import Friction, FrictionSettings, cautious, observe
 from rangecam.brake.health import Health, HealthSettings, judge, perceived
-from rangecam.brake.machine import CarState, Fault
-from rangecam.brake.rule import DecisionSettings
+from rangecam.brake.machine import Fault, Perception
 from rangecam.types import Collisions, Decision, Frame, RangeImage, RawFrame, Segments, Tracks, TrackStatus, Why
 
 N0, I0 = np.zeros(0), np.zeros(0, int)
@@ -57,6 +57,16 @@ def test_a_clear_image_has_no_fault_and_its_numbers_are_shares() -> None:
     health = judged(frame_of())
     assert (health.faults, health.seen, health.saturated, health.near, health.unchanged) == ((), 1.0, 0.0, 0.0, 0.0)
     assert (health.lateness_s, health.repeats, health.received_s, health.fastest_s) == (0.0, 0, 5.0, 5.0)
+
+
+def test_the_shares_of_a_single_pixel_are_all_or_nothing() -> None:
+    health = judged(frame_of(why=Why.SATURATED, range_m=0.01, shape=(1, 1)))
+    assert (health.seen, health.saturated, health.near) == (0.0, 1.0, 1.0)
+    assert judged(frame_of(shape=(0, 0))).near == 0.0
+
+
+def test_healths_with_their_images_are_not_compared() -> None:
+    assert judged(frame_of()) != judged(frame_of())
 
 
 @pytest.mark.parametrize(("count", "faults"), [(30, ()), (31, (Fault.SATURATED,))])
@@ -193,101 +203,139 @@ def test_a_scene_has_a_speed_only_with_three_confirmed_tracks() -> None:
 FRICTION = FrictionSettings()
 
 
+def seen(time_s: float, gap_m: float, track_id: int = 7) -> Perception:
+    return Perception(round(time_s * 1000), time_s, time_s + 0.1, False, "box", track_id=track_id, distance_m=gap_m)
+
+
 def stopped(
     mu: float,
     known: Friction | None = None,
-    noise_mps: float = 0.0,
+    noise_m: float = 0.0,
     seed: int = 0,
-    settings: FrictionSettings = FRICTION,
-    v0: float = 5.0,
+    s: FrictionSettings = FRICTION,
+    v0: float = 3.0,
+    object_mps: float = 0.0,
+    gain_mps2: float = 0.0,
+    tracks: tuple[int, int] = (7, 7),
+    until_s: float = 9.0,
+    period_s: float = 1 / 30,
 ) -> Friction:
-    """Friction after a stop from 5 m/s; the brakes bite after 0.1 s, car states come every 20 ms."""
+    """What is known after braking from v0 at 1 s; the brakes bite 0.1 s later, and 1.5 m before an object we stand.
+
+    tracks: of the object in the images before 1.3 s and in those after; gain_mps2: the speed rises until 1 s;
+    until_s: images until then.
+    """
     rng = np.random.default_rng(seed)
     friction = known or Friction()
-    for i in range(400):
-        t = i * 0.02
-        speed = max(0.0, v0 - mu * 9.81 * max(0.0, t - 0.1)) + rng.normal(0, noise_mps)
-        friction = observe(friction, CarState(speed, t), True, t, settings)
-    return observe(friction, CarState(0.0, 8.0), False, 8.0, settings)
+    a = mu * 9.81
+    way_m = v0 * 1.1 + v0**2 / (2 * a)
+    for time_s in np.arange(0.2, until_s, period_s).tolist():
+        braked_s = min(max(0.0, time_s - 1.1), v0 / a if a > 0 else math.inf)
+        rolled_s = min(time_s, 1.1)
+        before_mps = v0 + gain_mps2 * (min(time_s, 1.0) - 1.0)
+        gone_m = v0 * rolled_s + v0 * braked_s - a * braked_s**2 / 2
+        gap_m = 1.5 + way_m - gone_m + object_mps * time_s + rng.normal(0, noise_m)
+        look = seen(time_s, gap_m, tracks[time_s > 1.3])
+        friction = observe(friction, look, before_mps if time_s < 1 else 0.0, time_s >= 1, s)
+    return observe(friction, look, 0.0, False, s)
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.3, 0.7])
-def test_the_friction_of_a_stop_without_noise_is_exact(mu: float) -> None:
+def test_the_friction_of_a_stop_without_noise_is_exact_though_its_wheels_lock(mu: float) -> None:
     found = stopped(mu)
-    assert found.mu == pytest.approx(mu, rel=1e-9)
-    assert math.isnan(found.began_s)
-    assert found.n == 0
+    assert found.mu == pytest.approx(mu, rel=1e-6)
+    assert (found.gaps, found.braking, found.track_id) == ((), False, 0)
 
 
-def test_its_sigma_is_that_of_the_slope_of_a_line() -> None:
-    t = np.arange(5, 400) * 0.02
-    t = t[5.0 - 0.3 * 9.81 * (t - 0.1) >= 0.3]
-    expected = 0.02 / math.sqrt(((t - t.mean()) ** 2).sum()) / 9.81
-    assert stopped(0.3).sigma == pytest.approx(expected, rel=1e-6)
-    found = np.array([stopped(0.3, noise_mps=0.02, seed=seed).mu for seed in range(150)])
-    assert found.mean() == pytest.approx(0.3, abs=4 * expected / math.sqrt(150))
-    assert found.std() == pytest.approx(expected, rel=0.25)  # 4 sigma of a standard deviation from 150 values
+def test_its_sigma_is_that_of_many_stops() -> None:
+    sharp = replace(FRICTION, model=0.0)
+    found = [stopped(0.5, noise_m=0.02, seed=seed, s=sharp) for seed in range(100)]
+    mus, sigmas = np.array([each.mu for each in found]), np.array([each.sigma for each in found])
+    assert mus.mean() == pytest.approx(0.5, abs=4 * mus.std() / 10)
+    assert mus.std() == pytest.approx(np.sqrt((sigmas**2).mean()), rel=0.3)  # 4 sigma of a standard deviation
+    wide = stopped(0.5, noise_m=0.02, s=replace(FRICTION, model=0.1))
+    assert wide.sigma == pytest.approx(math.hypot(found[0].sigma, 0.1 * wide.mu), rel=1e-6)
+
+
+def test_free_ways_scatter_at_least_as_they_are_told() -> None:
+    sharp, coarse = (stopped(0.5, s=replace(FRICTION, model=0.0, distance_sigma_m=each)) for each in (0.01, 0.02))
+    assert coarse.sigma == pytest.approx(2 * sharp.sigma, rel=1e-4)
 
 
 def test_two_stops_are_weighted_with_the_change_between_them() -> None:
-    first = stopped(0.3)
+    first, alone = stopped(0.3), stopped(0.7)
     second = stopped(0.7, known=first)
-    prior, new = first.sigma**2 + 0.05**2, stopped(0.7).sigma ** 2
-    assert second.mu == pytest.approx((0.3 / prior + 0.7 / new) / (1 / prior + 1 / new))
+    prior, new = first.sigma**2 + 0.05**2, alone.sigma**2
+    assert second.mu == pytest.approx((first.mu / prior + alone.mu / new) / (1 / prior + 1 / new))
     assert second.sigma == pytest.approx((1 / prior + 1 / new) ** -0.5)
+
+
+def test_a_stop_that_ends_before_standstill_counts_as_well() -> None:
+    assert stopped(0.15, until_s=1.8).mu == pytest.approx(0.15, rel=1e-6)
 
 
 @pytest.mark.parametrize(
     "stop",
     [
-        lambda known: stopped(0.3, known, v0=0.2),  # too slow
-        lambda known: stopped(-0.01, known),  # faster instead of slower
-        lambda known: stopped(0.3, known, noise_mps=0.2),  # no line
-        lambda known: stopped(0.3, known, noise_mps=math.nan),
-        lambda known: stopped(3.0, known, v0=1.0),  # over before five speeds
-        lambda known: observe(known, CarState(1.0, 0.0), False, 0.0, FRICTION),
+        lambda known: stopped(0.3, known, v0=0.7),  # too slow
+        lambda known: stopped(0.3, known, noise_m=0.2),  # looks otherwise
+        lambda known: stopped(0.3, known, object_mps=-0.9),  # the object comes towards us
+        lambda known: stopped(0.3, known, object_mps=0.9),  # or drives on
+        lambda known: stopped(0.3, known, gain_mps2=2.0),  # we were still gaining speed
+        lambda known: stopped(-0.01, known, until_s=3.0),  # nothing slowed us down
+        lambda known: stopped(3.0, known, v0=1.0),  # over before six images
+        lambda known: stopped(0.3, known, until_s=1.25),  # images end too early
+        lambda known: stopped(0.3, known, tracks=(7, 8)),  # another object
+        lambda known: stopped(0.3, known, tracks=(0, 7)),  # none before
+        lambda known: stopped(0.3, known, noise_m=math.nan),
     ],
 )
 def test_a_stop_that_says_nothing_changes_nothing(stop: Any) -> None:
     known = Friction(0.4, 0.01)
-    assert repr(stop(known)) == repr(known)
+    found = stop(known)
+    assert (found.mu, found.sigma) == (0.4, 0.01)
 
 
-def test_a_car_state_counts_once_and_not_before_the_brakes_bite() -> None:
+def test_only_new_images_of_the_last_moments_are_kept_before_a_stop_and_all_of_it() -> None:
     friction = Friction()
-    for time_s, counted in ((1.0, 0), (1.05, 0), (1.125, 1), (1.125, 1), (1.25, 2)):
-        friction = observe(friction, CarState(2.0, time_s), True, time_s, FrictionSettings(brake_delay_s=0.125))
-        assert friction.n == counted
-    friction = observe(friction, CarState(0.29, 1.5), True, 1.5, FRICTION)
-    assert (friction.n, friction.heard_s, friction.began_s) == (2, 1.25, 1.0)
-    friction = observe(friction, CarState(0.3, 1.6), True, 1.6, FRICTION)
-    assert friction.n == 3
+    for time_s in (1.0, 1.2, 1.2, 1.1, 1.5):
+        friction = observe(friction, seen(time_s, 3.0), 2.0, False, FRICTION)
+    assert [each.time_s for each in friction.gaps] == [1.2, 1.5]
+    assert friction.speed_mps == 2.0
+    friction = observe(friction, seen(1.5, 9.0, 8), 2.0, False, FRICTION)
+    assert friction.track_id == 7
+    friction = observe(friction, seen(1.6, 9.0, 8), 2.0, False, FRICTION)
+    assert (friction.track_id, len(friction.gaps)) == (8, 1)
+    friction = observe(friction, seen(1.7, 9.0, 0), 2.0, False, FRICTION)
+    assert friction.track_id == 8
+    for time_s in (1.9, 3.0):
+        friction = observe(friction, seen(time_s, 2.0, 8), 1.0, True, FRICTION)
+    assert (friction.speed_mps, friction.before, len(friction.gaps)) == (2.0, 1, 3)
 
 
-@pytest.mark.parametrize(("needed", "known"), [(4, True), (5, False)])
-def test_how_many_speeds_a_stop_needs_can_be_set(needed: int, known: bool) -> None:
-    settings = FrictionSettings(brake_delay_s=0.0, min_speeds=needed)
-    friction = observe(Friction(), CarState(9.0, 0.0), True, 0.0, settings)
-    for i in range(1, 5):
-        friction = observe(friction, CarState(3 - 0.3 * i, 0.1 * i), True, 0.1 * i, settings)
-    friction = observe(friction, CarState(0.0, 1.0), False, 1.0, settings)
-    assert friction.mu == pytest.approx(3 / 9.81 if known else 0.0)
+@pytest.mark.parametrize(("limit", "known"), [({"min_images": 12}, True), ({"min_images": 13}, False)])
+def test_how_many_images_a_stop_needs_can_be_set(limit: dict[str, Any], known: bool) -> None:
+    assert (stopped(0.75, s=replace(FRICTION, **limit)).mu > 0) == known  # it lasts 0.408 s: 12 periods of 33.3 ms
 
 
-@pytest.mark.parametrize(("misfit", "known"), [(0.99, False), (1.01, True)])
-def test_how_far_speeds_may_scatter_can_be_set(misfit: float, known: bool) -> None:
-    settings = FrictionSettings(brake_delay_s=0.0, min_speeds=3, speed_sigma_mps=0.1, max_misfit=misfit)
-    friction = observe(Friction(), CarState(9.0, 0.0), True, 0.0, settings)
-    error = math.sqrt(0.01 / 6)  # residuals e, -2 e, e of three speeds: a variance of 6 e2 with one degree of freedom
-    for i, off in enumerate((1, -2, 1), start=1):
-        friction = observe(friction, CarState(3 - 0.3 * i + off * error, 0.1 * i), True, 0.1 * i, settings)
-    assert (observe(friction, CarState(0.0, 1.0), False, 1.0, settings).mu > 0) == known
+@pytest.mark.parametrize(
+    ("limit", "told"),
+    [
+        ({"min_speed_mps": 3.0}, {}),
+        ({"max_misfit_m": 0.025}, {"noise_m": 0.02}),
+        ({"steady": 0.3}, {"gain_mps2": 2.0}),
+        ({"standing": 0.12}, {"object_mps": 0.3, "until_s": 2.0}),
+    ],
+)
+def test_what_a_stop_must_be_like_can_be_set(limit: dict[str, float], told: dict[str, Any]) -> None:
+    assert stopped(0.3, s=replace(FRICTION, **limit), **told).mu > 0
+    first, *_ = limit
+    stricter = {**limit, first: limit[first] * (1.1 if first == "min_speed_mps" else 0.6)}
+    assert stopped(0.3, s=replace(FRICTION, **stricter), **told).mu == 0
 
 
-def test_the_decision_uses_the_estimate_less_its_uncertainty() -> None:
-    decision = DecisionSettings(friction=0.3, deceleration_mps2=5.0)
-    used = with_friction(decision, Friction(0.5, 0.05), FRICTION)
-    assert used.friction == pytest.approx(0.4)
-    assert used.deceleration_mps2 is None
-    for unknown in (Friction(), Friction(0.1, 0.05)):
-        assert with_friction(decision, unknown, FRICTION) is decision
+def test_what_is_reckoned_with_is_the_estimate_less_its_uncertainty_if_that_is_wanted() -> None:
+    adapting = FrictionSettings(adapt=True)
+    assert cautious(Friction(0.5, 0.05), adapting) == pytest.approx(0.4)
+    assert cautious(Friction(), adapting) is cautious(Friction(0.1, 0.05), adapting) is None
+    assert cautious(Friction(0.5, 0.05), FRICTION) is None

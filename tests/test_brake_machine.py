@@ -455,6 +455,47 @@ def test_the_first_car_state_may_have_any_speed() -> None:
     assert (state.speed_mps, state.car_s) == (5.5, 5.0)
 
 
+def test_a_machine_that_has_not_begun_has_seen_and_heard_nothing_and_asks_for_nothing() -> None:
+    state = BrakeState()
+    assert (state.image_s, state.car_s, state.released_s) == (-math.inf,) * 3
+    assert (state.standing_s, state.number, state.good_images, state.speed_mps) == (math.inf, 0, 0, 0.0)
+    assert (state.perception.received_s, state.perception.time_s, state.car.received_s) == (-math.inf,) * 3
+    assert Request(0.0, 0, Action.NONE).brake == 0.0
+
+
+def test_without_brakes_the_speed_is_that_of_the_wheels_however_fast_it_falls() -> None:
+    drive = Drive(speed_mps=3.0)
+    drive.step(speed_mps=2.75)  # 16 m/s2, four times what is sure under our brakes
+    assert drive.state.speed_mps == 2.75
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 4.25])
+def test_the_least_and_the_greatest_possible_speed_are_believed(speed_mps: float) -> None:
+    drive = Drive(speed_mps=4.0 if speed_mps else 0.0, max_speed_mps=4.25)
+    drive.step(speed_mps=speed_mps)
+    assert (drive.state.car.speed_mps, drive.state.speed_mps) == (speed_mps, speed_mps)
+    stops = stopping(speed_mps=4.0, max_speed_mps=4.25)
+    stops.step(speed_mps=speed_mps)
+    assert stops.state.speed_mps == pytest.approx(speed_mps or 4.0 - 4.0 * TICK_S)
+
+
+def test_of_two_car_states_that_arrived_at_once_the_first_counts() -> None:
+    drive = Drive()
+    drive.step(image=False, speed_mps=2.9, car_received_s=drive.car.received_s)
+    assert drive.state.car_fault is Fault.CLOCK
+    assert drive.state.car.speed_mps == 3.0
+
+
+def test_a_bad_car_state_in_a_fault_begins_the_standstill_anew() -> None:
+    drive = Drive(speed_mps=0.0)
+    drive.steps(7, image=False)
+    drive.steps(3)
+    assert drive.state.mode is Mode.FAULT
+    assert math.isfinite(drive.state.standing_s)
+    drive.step(speed_mps=5.0)
+    assert (drive.state.mode, drive.state.standing_s) == (Mode.FAULT, math.inf)
+
+
 # -- settings ---------------------------------------------------------------------------------------------------------
 
 

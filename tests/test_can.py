@@ -166,6 +166,12 @@ def test_values_that_do_not_fit_are_refused_with_the_limits(message: Message, wo
     assert str(caught.value) == str(caught.value).rstrip()
 
 
+def test_a_take_over_that_was_decoded_names_its_modes() -> None:
+    message = decode(*encode(TakeOver(DriveMode.BRAKE, 0.5)))
+    assert isinstance(message, TakeOver)
+    assert (type(message.mode), type(message.steering)) == (DriveMode, SteeringMode)
+
+
 def test_a_power_beyond_the_sixteen_bits_is_sent_as_the_most_they_hold() -> None:
     assert encode(CarStatus1(20.0, 7.2, 144.0, 0.0))[1][4:6] == b"\xff\xff"
     assert decode(*encode(CarStatus1(20.0, 7.2, 144.0, 0.0))) == CarStatus1(20.0, 7.2, 65.535, 0.0)

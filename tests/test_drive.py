@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rangecam.brake.friction import FrictionSettings
+from rangecam.brake.gate import CanFrame, Refusal
 from rangecam.brake.health import judge
 from rangecam.brake.machine import Fault as Cause
+from rangecam.brake.unit import BrakeSettings
 from rangecam.cameras.simulated import frame
+from rangecam.can.layout import GIVE_BACK_DATA, MAGIC, MASTER_ID
 from rangecam.config import Config, load_config
 from rangecam.drive import bound, page
 from rangecam.drive.campaigns import trial_of
@@ -18,14 +22,14 @@ from rangecam.drive.contact import impact_speed, nearest
 from rangecam.drive.eye import Eye
 from rangecam.drive.journey import _interpolated, between, hand_of
 from rangecam.drive.loop import drive
-from rangecam.drive.mind import brake_settings, latency_s
+from rangecam.drive.mind import Mind, brake_settings, latency_s, restarted
 from rangecam.drive.opening import drive_settings, opened
 from rangecam.drive.result import COLUMNS, Drive, as_json, describe
 from rangecam.drive.settings import DriveSettings, Fault
 from rangecam.errors import UsageError
 from rangecam.io import Recorder, open_source
 from rangecam.pipeline import process_frame, run
-from rangecam.scene.paths import EgoMotion, EgoPhase, Pose
+from rangecam.scene.paths import EgoMotion, EgoPhase, Pose, WayPoint
 from rangecam.scene.paths import Path as Way
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject
@@ -128,6 +132,41 @@ def test_a_take_over_is_held_until_a_vehicle_whose_wheels_have_locked_really_sta
     assert not found.hit
     released = np.flatnonzero(np.diff(t["bus_control"]) < 0)
     assert all(t["speed_mps"][k] < 0.1 for k in released)
+
+
+def two_boxes() -> Scenario:
+    """The first box leaves after 4 s; the driver then drives on to the second."""
+    places = ((0.0, 3.0, 0.0), (4.0, 3.0, 0.0), (4.6, 3.0, 6.0), (60.0, 3.0, 6.0))
+    leaves = Way(waypoints=tuple(WayPoint(time_s=t, position_m=(x, y, 0.0)) for t, x, y in places))
+    return scene(replace(box(3.0), path=leaves), box(10.0), speed=1.5, duration_s=9.0)
+
+
+def test_after_a_stop_on_slippery_ground_the_next_begins_sooner_if_the_brake_adapts(tmp_path: Path) -> None:
+    path, begins_m = tmp_path / "drive.mcap", []
+    for adapt in (False, True):
+        brake = BrakeSettings(friction=FrictionSettings(adapt=adapt))
+        settings = replace(SETTINGS, friction=0.15, driver="holds", brake=brake)
+        with Recorder(path, coarse(), "test") as recorder:
+            found = drive(two_boxes(), coarse(), settings, 0, [recorder][: int(adapt)])
+        assert found.friction == pytest.approx(0.15, abs=2 * found.friction_sigma)
+        assert found.friction_sigma < 0.03
+        assert "friction   0.1" in describe(found)
+        assert not found.hit
+        t = found.timeline
+        begins_m.append(t["x_m"][(t["time_s"] > 5.0) & (t["bus_control"] > 0)][0])
+    assert begins_m[1] < begins_m[0] - 0.5
+    source = open_source(path)
+    known = [capture.ego.friction for capture in source.captures]
+    assert known[0] is None
+    assert known[-1] == pytest.approx(0.15, abs=0.05)
+
+
+def test_who_leaves_gives_control_back_and_brakes_no_more() -> None:
+    mind = Mind(coarse(), SETTINGS, 0.0, unit=restarted())
+    assert [frame.data[-2:] for frame in mind.think(1.0)] == [MAGIC]
+    assert mind.leave() == CanFrame(MASTER_ID, GIVE_BACK_DATA)
+    assert mind.think(1.1) == []
+    assert mind.unit.gate.refused == {Refusal.NOT_ARMED: 1}
 
 
 def test_json_and_lines_say_how_it_came_out() -> None:

@@ -41,7 +41,7 @@ def captures_of(n: int, shape: tuple[int, int] = (3, 4)) -> list[Capture]:
     return [
         Capture(
             RawFrame(0.1 * k, {f"phase_{s}": rng.integers(0, 4095, shape, np.uint16) for s in steps}, k + 10),
-            Ego(0.1 * k, 1 / 3, 0.01),
+            Ego(0.1 * k, 1 / 3, 0.01, friction=0.25 if k else None),
         )
         for k in range(n)
     ]

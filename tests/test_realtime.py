@@ -1,9 +1,12 @@
 """Driving in real time: what is stated of stops, processes that are killed and frozen, and what is refused."""
 
 import gc
+import itertools
 import os
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from rangecam.can.bus import Bus
 from rangecam.can.codec import GiveBack
 from rangecam.cli import main
 from rangecam.config import Config, load_config
+from rangecam.drive import realtime
 from rangecam.drive.opening import opened
 from rangecam.drive.prompt import prompt, relaxed
 from rangecam.drive.realtime import describe
@@ -91,6 +95,31 @@ def test_a_process_that_ceases_stops_the_car_in_the_time_stated_and_all_recover(
     assert found.held, f"{found} {rig.events[-4:]}"
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), DataError("the camera has ended by itself")])
+def test_what_was_measured_before_it_was_cut_off_is_kept_and_told_as_it_came(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = Upset("camera", "kill", 1.0, "stops", 0.9, 0.5, 2.0, 1)
+
+    def some(rig: object, count: int, rng: np.random.Generator) -> Iterator[Upset]:
+        yield good
+        raise error
+
+    clock = itertools.count().__next__
+    still = SimpleNamespace(frames=[], events=[], priority="usual", job=SimpleNamespace(now_s=clock))
+    still.await_ready = still.hurry = lambda: None
+    approach = {"top_speed_mps": 1.0, "stopped_by": "object", "least_gap_m": 0.1, "collision": False}
+    monkeypatch.setattr(realtime, "Rig", lambda *_: nullcontext(still))
+    monkeypatch.setattr(realtime, "_approach", lambda rig: approach)
+    monkeypatch.setattr(realtime, "upsets", some)
+    assert main(["drive", "approach-box", "--real-time", "--duration", "1", "--upsets", "3"]) == 1
+    out, told = capsys.readouterr()
+    assert "1 of 1 as stated" in out
+    assert f"CUT OFF    {str(error) or 'interrupted'}" in out
+    assert "after 1 upsets of 3" in told
+    assert told.startswith("approach   up to 1.00 m/s, stopped by object, least gap 0.10 m\nupset      camera kill")
+
+
 # -- the command line -------------------------------------------------------------------------------------------------
 
 
@@ -120,8 +149,8 @@ def test_a_collision_and_what_did_not_recover_are_shouted() -> None:
     result = {
         "scenario": "x", "duration_s": 1.0, "frames": 3, "missing_frames": 0, "priority": "usual", **times,
         "photon_to_brake_ms": quantiles, "late_frames": 0, "deadline_ms": 33.3, "approaches": [approach],
-        "upsets": upsets,
+        "upsets": [{**each, "held": False} for each in upsets], "cut_off": "interrupted",
     }  # fmt: skip
     text = describe(result)
     assert "not permitted" in text
-    assert all(word in text for word in ("COLLISION", "LOST", "LATE", "NEVER"))
+    assert all(word in text for word in ("COLLISION", "LOST", "LATE", "NEVER", "0 of 3", "CUT OFF    interrupted"))

@@ -300,7 +300,8 @@ class Track:
 class Ego:
     """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear.
 
-    braking: whether it brakes for an object already, so that the decision does not flicker.
+    braking: whether it brakes for an object already, so that the decision does not flicker. friction: between tyres and
+    ground, where its stops have shown it and the decision is to reckon with it instead of with its setting.
     """
 
     time_s: float = float("nan")
@@ -308,6 +309,7 @@ class Ego:
     yaw_rate_radps: float = 0.0
     forward: bool = True
     braking: bool = False
+    friction: float | None = None
 
 
 @value

@@ -12,7 +12,7 @@ from rangecam.brake.rule import (
     needed_deceleration,
     stopping_distance,
 )
-from rangecam.brake.settings import DecisionSettings, full_deceleration
+from rangecam.brake.settings import DecisionSettings, full_deceleration, on_ground
 from rangecam.collision import InPath, look_ahead
 from rangecam.types import CLASSES, Decision, Ego, Tracks
 
@@ -41,8 +41,10 @@ def decide(tracks: Tracks, ego: Ego, settings: DecisionSettings) -> Decision:
 
     Confirmed tracks count, also while they coast through missed frames, if they are in the path now or will be when
     they reach us. The nearest that demands braking decides, else the nearest. Where the own speed is unknown it is
-    taken to be the closing speed. While we brake, the demand goes on as `keeps_braking` says.
+    taken to be the closing speed; where our friction is known, it replaces that of the settings. While we brake, the
+    demand goes on as `keeps_braking` says.
     """
+    settings = on_ground(settings, ego.friction)
     collisions, in_path = look_ahead(tracks, ego, settings.corridor, settings.min_probability)
     known = ego.speed_mps if ego.speed_mps is not None and math.isfinite(ego.speed_mps) else None
     chosen: tuple[InPath, Threat, float] | None = None

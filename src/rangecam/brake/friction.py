@@ -1,103 +1,159 @@
-"""Friction between tyre and ground, estimated from the speed while braking fully (S-FUT-07). Pure.
+"""Friction between tyre and ground, from how a stop looks to the camera (S-FUT-07). Pure.
 
-While the brakes are full and hold, v(t) = v0 - mu g t. A straight line through the speeds of one stop gives mu and,
-with the noise of one speed, its standard deviation. The delay of the brakes at its begin and the creeping at its end
-are left out; so is a stop whose speeds lie on no straight line: there the wheels locked or the ground changed.
+Wheels that lock say nothing of the speed over ground; the free way d to what stands in front does. With the speed v0
+before the brakes bite at t0, and then the deceleration a = mu g until standstill at t0 + v0 / a,
+
+    d(t) = d1 + v0^2 / (2 a) - v0 (t - t0) + a (t - t0)^2 / 2     between the two, a straight line before, d1 afterwards
+
+is fitted to a, t0 and d1. A stop that looks otherwise says nothing: the object moved, or the ground changed.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
+import numpy as np
 from annotated_types import Ge
 
-from rangecam.brake.machine import CarState
-from rangecam.brake.rule import GRAVITY_MPS2, DecisionSettings
+from rangecam.brake.machine import Perception
+from rangecam.brake.settings import GRAVITY_MPS2
 from rangecam.settings import NonNegative, Positive, settings
+from rangecam.types import Floats
 from rangecam.values import changed
 
 
 @settings
 class FrictionSettings:
-    """Which speeds of a stop count, and how carefully the estimate is used."""
+    """Which stops count, and whether and how carefully the estimate is used."""
 
-    brake_delay_s: NonNegative = 0.1
-    """From the take-over to the brakes biting (eq 3.10)."""
-    min_speed_mps: NonNegative = 0.3
-    """Below this speed the car creeps, and the sensor counts few holes."""
-    speed_sigma_mps: Positive = 0.02
-    """Standard deviation of one speed."""
-    min_speeds: Annotated[int, Ge(3)] = 5
-    """A stop with fewer speeds says nothing."""
+    adapt: bool = False
+    """Whether the decision reckons with the estimate, once there is one, instead of `decision.friction`."""
+    before_s: Positive = 0.4
+    """Free ways count from so long before the braking on."""
+    min_speed_mps: Positive = 0.8
+    """A stop from less than this says nothing."""
+    min_images: Annotated[int, Ge(4)] = 6
+    """Nor does one of which fewer images were taken between the brakes' biting and standstill."""
+    distance_sigma_m: Positive = 0.01
+    """Standard deviation of one free way, at least."""
+    max_misfit_m: Positive = 0.06
+    """The free ways of a stop may scatter by so much about what is fitted (root mean square)."""
+    steady: NonNegative = 0.1
+    """Before the braking our speed changed by less than this share of it."""
+    standing: NonNegative = 0.25
+    """Before the brakes bite the free way shrank with our speed, but for this share (a new track lags): else the object
+    moved."""
+    model: NonNegative = 0.05
+    """Standard deviation of what is not in the model (brakes that rise, filtered distances), as a share of mu."""
     change: NonNegative = 0.05
     """Standard deviation of the friction from stop to stop."""
-    max_misfit: Positive = 3.0
-    """The speeds of a stop may scatter about their line by so many times the noise of one."""
     sigmas: NonNegative = 2.0
     """The decision is made with the estimate less so many standard deviations."""
 
 
+class Gap(NamedTuple):
+    """The free way to one object at one time of the camera's clock, and our speed when that was known."""
+
+    time_s: float
+    distance_m: float
+    speed_mps: float
+
+
 @dataclass(frozen=True)
 class Friction:
-    """What is known of the friction, and the sums of the stop that is under way (times from its begin on).
+    """What is known of the friction after all stops so far (0 and inf before the first), and the stop under way.
 
-    mu, sigma: after all stops so far, 0 and inf before the first. began_s: take-over of this stop, NaN outside one.
-    heard_s: arrival of the last car state. n, t, v, tt, tv, vv: sums for the line.
+    speed_mps: before the braking. track_id: of what stands in front, 0 for none. gaps: to it, the newest last; in
+    user control those of the last `before_s`. braking: whether a stop is under way; before: gaps until it began.
     """
 
     mu: float = 0.0
     sigma: float = math.inf
-    began_s: float = math.nan
-    heard_s: float = -math.inf
-    n: int = 0
-    t: float = 0.0
-    v: float = 0.0
-    tt: float = 0.0
-    tv: float = 0.0
-    vv: float = 0.0
+    speed_mps: float = 0.0
+    track_id: int = 0
+    gaps: tuple[Gap, ...] = ()
+    braking: bool = False
+    before: int = 0
 
 
-def observe(friction: Friction, car: CarState, braking: bool, time_s: float, settings: FrictionSettings) -> Friction:
-    """Return what is known after a step in which the car was told to brake, or not; `car` is its last good state."""
-    if not braking:
-        return friction if math.isnan(friction.began_s) else _finished(friction, settings)
-    if math.isnan(friction.began_s):
-        return Friction(friction.mu, friction.sigma, began_s=time_s, heard_s=car.received_s)
-    since_s = car.received_s - friction.began_s
-    known = car.received_s > friction.heard_s and since_s >= settings.brake_delay_s
-    if not (known and car.speed_mps >= settings.min_speed_mps):
+def observe(friction: Friction, seen: Perception, speed_mps: float, braking: bool, s: FrictionSettings) -> Friction:
+    """Return what is known after a step in which an object made us brake, or not.
+
+    seen, speed_mps: the last good image and the speed that the machine believes.
+    """
+    if friction.braking and not braking:
+        known = after_stop(friction, s)
+        return Friction(known.mu, known.sigma)
+    if braking and not friction.braking:
+        friction = changed(friction, braking=True, before=len(friction.gaps))
+    friction = _looked(friction, seen, speed_mps, s)
+    return friction if braking or speed_mps == friction.speed_mps else changed(friction, speed_mps=speed_mps)
+
+
+def _looked(friction: Friction, seen: Perception, speed_mps: float, s: FrictionSettings) -> Friction:
+    """Return the gaps with that of a new image: of the same object, else from it on; none begins during a stop."""
+    old = bool(friction.gaps) and seen.time_s <= friction.gaps[-1].time_s
+    if seen.track_id == 0 or old or not math.isfinite(seen.distance_m):
         return friction
-    return changed(
-        friction,
-        heard_s=car.received_s,
-        n=friction.n + 1,
-        t=friction.t + since_s,
-        v=friction.v + car.speed_mps,
-        tt=friction.tt + since_s**2,
-        tv=friction.tv + since_s * car.speed_mps,
-        vv=friction.vv + car.speed_mps**2,
-    )
+    gap = Gap(seen.time_s, seen.distance_m, speed_mps)
+    if friction.braking:
+        same = seen.track_id == friction.track_id
+        return changed(friction, gaps=(*friction.gaps, gap)) if same else changed(friction, track_id=0, gaps=())
+    kept = friction.gaps if seen.track_id == friction.track_id else ()
+    recent = tuple(each for each in kept if each.time_s >= seen.time_s - s.before_s)
+    return changed(friction, track_id=seen.track_id, gaps=(*recent, gap))
 
 
-def _finished(stop: Friction, settings: FrictionSettings) -> Friction:
-    """Return what is known after a stop: its line, weighted with what was known before."""
-    before = Friction(stop.mu, stop.sigma)
-    if stop.n < settings.min_speeds:
-        return before
-    spread = stop.tt - stop.t**2 / stop.n
-    slope = (stop.tv - stop.t * stop.v / stop.n) / spread
-    scatter = max(0.0, stop.vv - stop.v**2 / stop.n - slope**2 * spread) / (stop.n - 2)
-    if slope >= 0 or scatter > (settings.max_misfit * settings.speed_sigma_mps) ** 2:
-        return before
-    mu, variance = -slope / GRAVITY_MPS2, (settings.speed_sigma_mps / GRAVITY_MPS2) ** 2 / spread
-    prior = stop.sigma**2 + settings.change**2
+def after_stop(friction: Friction, s: FrictionSettings) -> Friction:
+    """Return what is known if the stop under way ends here: what it says, weighted with what was known before."""
+    found = _fitted(friction, s)
+    if found is None:
+        return friction
+    mu, variance = found
+    prior = friction.sigma**2 + s.change**2
     weight = 1 / (1 + variance / prior)  # 1 before the first stop, where the prior is inf
-    return Friction(stop.mu + weight * (mu - stop.mu), math.sqrt(weight * variance))
+    return changed(friction, mu=friction.mu + weight * (mu - friction.mu), sigma=math.sqrt(weight * variance))
 
 
-def with_friction(decision: DecisionSettings, friction: Friction, settings: FrictionSettings) -> DecisionSettings:
-    """Return the settings of the decision with the estimated friction, where there is one; else as set."""
-    cautious = friction.mu - settings.sigmas * friction.sigma
-    if not cautious > 0:
-        return decision
-    return replace(decision, friction=cautious, deceleration_mps2=None)
+def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:
+    """Return mu of a stop and its variance, None where it says nothing."""
+    v0 = stop.speed_mps
+    if not v0 >= s.min_speed_mps or len(stop.gaps) < 2 * s.min_images:
+        return None
+    from scipy.optimize import least_squares
+
+    time_s, gap_m, speed_mps = np.array(stop.gaps).T
+    if not np.abs(speed_mps[: stop.before] - v0).max(initial=0.0) <= s.steady * v0:
+        return None
+    braked_m = max(gap_m[0] - gap_m[-1] - v0 * s.before_s, 0.1)
+    start = (v0**2 / (2 * braked_m), time_s[0] + s.before_s, gap_m[-1])
+    fit = least_squares(_misfit, start, x_scale=(1.0, 0.1, 0.1), args=(time_s, gap_m, v0))
+    a, bites_s, _ = fit.x
+    scatter_m = math.sqrt(2 * fit.cost / (len(time_s) - len(fit.x)))
+    if not (a > 0 and scatter_m <= s.max_misfit_m):
+        return None
+    early = time_s < bites_s
+    between = np.count_nonzero(~early & (time_s < bites_s + v0 / a))
+    if np.count_nonzero(early) < 2 or between < s.min_images:
+        return None
+    closing_mps = -np.polyfit(time_s[early], gap_m[early], 1)[0]
+    if not abs(closing_mps - v0) <= s.standing * v0:
+        return None
+    slopes = np.asarray(fit.jac)
+    spread = float(np.linalg.inv(slopes.T @ slopes)[0, 0]) * max(scatter_m, s.distance_sigma_m) ** 2
+    mu = a / GRAVITY_MPS2
+    return mu, spread / GRAVITY_MPS2**2 + (s.model * mu) ** 2
+
+
+def _misfit(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Floats:
+    """Return free ways of the model less those seen, (N,), for a (kept above zero), t0 and d1 (the equation above)."""
+    a, bites_s, end_m = max(float(parameters[0]), 1e-3), *parameters[1:]
+    since_s = np.minimum(time_s - bites_s, v0 / a)
+    bent_m = np.where(since_s > 0, a * since_s**2 / 2, 0.0)
+    return np.asarray(end_m + v0**2 / (2 * a) - v0 * since_s + bent_m - gap_m)
+
+
+def cautious(friction: Friction, s: FrictionSettings) -> float | None:
+    """Return the friction to reckon with: the estimate less its uncertainty, None where there is none or not wanted."""
+    least = friction.mu - s.sigmas * friction.sigma
+    return least if s.adapt and least > 0 else None

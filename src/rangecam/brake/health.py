@@ -4,6 +4,7 @@ Nothing here knows a camera family: samples are compared plane by plane, and wha
 `judge` says what is wrong with one image; how long that may last before the car is stopped is the machine's business.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,6 +130,8 @@ def perceived(frame: Frame, health: Health) -> Perception:
         reason=decision.reason,
         faults=health.faults,
         scene_speed_mps=_scene_speed(frame),
+        track_id=decision.track_id,
+        distance_m=decision.distance_m if decision.track_id else math.inf,
     )
 
 

@@ -93,6 +93,7 @@ class Perception:
     frame_id, time_s: of the raw frame, on the camera's clock. received_s: arrival of the raw frame on the clock of
     the decision unit, so that its age counts the processing. brake, reason: of the decision.
     faults: what `health.judge` found. scene_speed_mps: speed at which the scene comes closer, None where unknown.
+    track_id, distance_m: what the decision is about, 0 for nothing, and the free way to it.
     """
 
     frame_id: int
@@ -102,6 +103,8 @@ class Perception:
     reason: str
     faults: tuple[Fault, ...] = ()
     scene_speed_mps: float | None = None
+    track_id: int = 0
+    distance_m: float = math.inf
 
 
 @dataclass(frozen=True)

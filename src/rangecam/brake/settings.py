@@ -6,6 +6,7 @@ from annotated_types import Interval
 
 from rangecam.collision import CorridorSettings
 from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
+from rangecam.values import changed
 
 GRAVITY_MPS2 = 9.81
 
@@ -60,6 +61,11 @@ class DecisionSettings:
     speed_sigmas: NonNegative = 2.0
     """A closing speed counts if it exceeds zero by this many standard deviations; one that differs by less from the
     own speed is that of a standing object."""
+
+
+def on_ground(settings: DecisionSettings, friction: float | None) -> DecisionSettings:
+    """Return the settings with this friction in place of theirs; None: as they are."""
+    return settings if friction is None else changed(settings, friction=friction, deceleration_mps2=None)
 
 
 def full_deceleration(settings: DecisionSettings) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from rangecam.brake.friction import Friction, FrictionSettings, observe
 from rangecam.brake.gate import CanFrame, Gate, GateSettings, let_pass
 from rangecam.brake.health import HealthSettings
-from rangecam.brake.machine import Action, BrakeState, Inputs, MachineSettings, Request, advance
+from rangecam.brake.machine import BrakeState, Inputs, MachineSettings, Mode, Request, advance
 from rangecam.errors import UsageError
 from rangecam.settings import settings
 
@@ -44,6 +44,6 @@ def step(unit: Unit, inputs: Inputs, settings: BrakeSettings) -> tuple[Unit, Req
     """
     state, request = advance(unit.state, inputs, settings.machine)
     gate, frame = let_pass(unit.gate, request, inputs.time_s, settings.gate)
-    braking = frame is not None and request.action is Action.BRAKE
-    friction = observe(unit.friction, state.car, braking, inputs.time_s, settings.friction)
+    stopping = state.mode is Mode.STOPPING and frame is not None
+    friction = observe(unit.friction, state.perception, state.speed_mps, stopping, settings.friction)
     return Unit(state, gate, friction), request, frame

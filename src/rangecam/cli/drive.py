@@ -111,8 +111,11 @@ def _in_real_time(
 
     if not duration_s > 0 or upsets < 0:
         raise UsageError("expected --duration above zero and --upsets of at least 0")
-    result = drive_in_real_time(*opened(name, preset, layers), seed, duration_s, upsets)
+    began = opened(name, preset, layers)
+    result = drive_in_real_time(*began, seed, duration_s, upsets, lambda line: print(line, file=sys.stderr, flush=True))
     print(json_format.dumps(result) if json else describe(result))
+    if result["cut_off"] is not None:
+        raise DataError(f"{name}: cut off ({result['cut_off']}) after {len(result['upsets'])} upsets of {upsets}")
     if result["collision"] or not all(each["held"] for each in result["upsets"]):
         raise DataError(f"{name}: the car did not stop as stated, or not all recovered")
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from rangecam.brake.friction import after_stop
 from rangecam.brake.gate import CanFrame
 from rangecam.brake.machine import Mode
 from rangecam.can.layout import MAGIC, MASTER_ID
@@ -88,7 +89,8 @@ def drive(
 def _over(time_s: float, scenario: Scenario, settings: DriveSettings, car: VehicleState, log: "_Log") -> bool:
     if not math.isfinite(log.braked_s):
         return time_s >= scenario.duration_s
-    return settings.driver == "lets_go" and time_s - log.stood_s >= settings.stop_after_s
+    stands = time_s - log.stood_s >= settings.stop_after_s
+    return stands and (settings.driver == "lets_go" or time_s >= scenario.duration_s)
 
 
 def _through_bus(
@@ -211,6 +213,7 @@ class _Log:
             self._obeyed_s + settings.vehicle.brake_delay_s if math.isfinite(self._bites_s) else math.nan,
             self._full_s,
         )
+        known = after_stop(mind.unit.friction, settings.brake.friction)
         columns: dict[str, Floats] = dict(zip(COLUMNS, np.array(self._rows).T, strict=True))
         more: dict[str, Any] = {
             "hit": hit,
@@ -225,5 +228,7 @@ class _Log:
             "duration_s": float(columns["time_s"][-1]),
             "refused": {str(why): count for why, count in mind.unit.gate.refused.items()},
             "frames_on_bus": dict(self._bus),
+            "friction": known.mu if math.isfinite(known.sigma) else math.nan,
+            "friction_sigma": known.sigma if math.isfinite(known.sigma) else math.nan,
         }
         return Drive(self._name, columns, latency, **more)

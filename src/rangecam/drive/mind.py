@@ -5,10 +5,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from rangecam.brake.gate import CanFrame, Gate, arm
+from rangecam.brake.friction import cautious
+from rangecam.brake.gate import CanFrame, Gate, arm, disarm
 from rangecam.brake.health import Health, judge, perceived
 from rangecam.brake.machine import BrakeState, CarState, Inputs, Mode, Perception
-from rangecam.brake.rule import full_deceleration
+from rangecam.brake.settings import full_deceleration, on_ground
 from rangecam.brake.unit import BrakeSettings, Unit, step
 from rangecam.can.codec import CarStatus1, CodecError, RemoteValues, decode
 from rangecam.config import Config
@@ -20,16 +21,18 @@ from rangecam.values import changed
 from rangecam.vehicle.sensors import gain_of_wheels, step_of_sensor
 
 
-def brake_settings(config: Config, settings: DriveSettings) -> BrakeSettings:
-    """Return the brake's settings for this camera and vehicle.
+def brake_settings(config: Config, settings: DriveSettings, friction: float | None = None) -> BrakeSettings:
+    """Return the brake's settings for this camera and vehicle, and the friction that stops have shown, if they have.
 
     An image is missed `missed_frames` periods after it should have been processed; a cause may be as old. No speed is
     possible that the vehicle cannot reach. A vehicle whose wheels have locked slides on: it is believed to slow down no
-    faster than on the road that the decision reckons with, else control is given back before it stands. Its wheels may
-    gain speed as fast as they can spin on that road, and the measured speed may jump by what its sensor does from rest.
+    faster than on the road that the decision reckons with, or that it was seen on, else control is given back before it
+    stands. Its wheels may gain speed as fast as they can spin on that road, and the measured speed may jump by what its
+    sensor does from rest.
     """
     timeout_s = latency_s(config, settings) + settings.missed_frames / config.camera.frame_rate_hz
-    brake, vehicle, grip_mps2 = settings.brake, settings.vehicle, full_deceleration(config.decision)
+    brake, vehicle = settings.brake, settings.vehicle
+    grip_mps2 = min(full_deceleration(on_ground(config.decision, each)) for each in (None, friction))
     gain_mps2 = gain_of_wheels(vehicle, grip_mps2)
     machine = replace(
         brake.machine,
@@ -81,6 +84,7 @@ class Mind:
         self._waiting: list[tuple[float, int, Perception, Frame]] = []
         self._steer, self._forward = 0.0, True
         self._inputs = Inputs(start_s)
+        self._friction: float | None = None
         self._thought: tuple[float, CarState | None, float] | None = None
         self.unit, self.frames = at_work(start_s) if unit is None else unit, 0
         self.frame: Frame | None = None
@@ -114,9 +118,19 @@ class Mind:
         while self._waiting and self._waiting[0][0] <= time_s:
             _, _, found, self.frame = heapq.heappop(self._waiting)
         self._inputs = Inputs(time_s, found, car)
+        known = self.unit.friction.mu
         self.unit, _, frame = step(self.unit, self._inputs, self._brake)
+        if self.unit.friction.mu != known:
+            self._friction = cautious(self.unit.friction, self._brake.friction)
+            self._brake = brake_settings(self._config, self._settings, self._friction)
         self._thought = time_s, self._inputs.car, self._steer
         return [] if frame is None else [frame]
+
+    def leave(self) -> CanFrame:
+        """Return the frame that gives control back now; nothing passes the gate after it."""
+        gate, frame = disarm(self.unit.gate)
+        self.unit = replace(self.unit, gate=gate)
+        return frame
 
     def _measured(self) -> Ego:
         """Return what was known of the own vehicle at the last thought.
@@ -131,4 +145,5 @@ class Mind:
         speed = self.unit.state.speed_mps
         steer = math.radians(vehicle.max_steer_deg) * steer
         yaw_rate_radps = speed * math.tan(steer) / vehicle.wheelbase_m
-        return Ego(time_s, speed, yaw_rate_radps, car.forward, braking=self.unit.state.mode is Mode.STOPPING)
+        stops = self.unit.state.mode is Mode.STOPPING
+        return Ego(time_s, speed, yaw_rate_radps, car.forward, stops, self._friction)

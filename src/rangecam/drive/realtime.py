@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -13,6 +14,7 @@ from rangecam.drive.contact import nearest
 from rangecam.drive.rig import STANDS_MPS, Rig
 from rangecam.drive.settings import DriveSettings
 from rangecam.drive.upsets import upsets
+from rangecam.errors import DataError
 from rangecam.scene.paths import Pose
 from rangecam.scene.scenario import Scenario
 from rangecam.vehicle.unit import Control
@@ -23,27 +25,47 @@ _BINS_MS = np.arange(0.0, 405.0, 5.0)
 
 
 def drive_in_real_time(
-    scenario: Scenario, config: Config, settings: DriveSettings, seed: int, duration_s: float, disturbances: int
+    scenario: Scenario,
+    config: Config,
+    settings: DriveSettings,
+    seed: int,
+    duration_s: float,
+    disturbances: int,
+    heard: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Drive a scene in real time again and again for so long, from standstill to the stop, then upset it so often.
 
-    An approach that has begun within `duration_s` is driven to its end. Returns JSON values: the deadline and latencies
-    of all frames, each approach, the latencies from light to brake, the upsets. Raises DataError if the processes do
-    not come to work together.
+    An approach that has begun within `duration_s` is driven to its end. heard: is told of each approach and each upset
+    in a line, as it ends. Returns JSON values: the deadline and latencies of all frames, each approach, the latencies
+    from light to brake, the upsets; `cut_off` says what ended it all too soon, an interrupt or processes that no longer
+    work together: what was measured until then is there. Raises DataError if they never come to work together.
     """
     rng = np.random.default_rng(seed)
+    approaches: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
+    cut_off, last = None, None
     with Rig(scenario, config, settings, seed) as rig:
         rig.await_ready()
         rig.hurry()
         first, begun_s = len(rig.frames), rig.job.now_s()
-        approaches: list[dict[str, Any]] = []
-        while not approaches or rig.job.now_s() < begun_s + duration_s:
-            approaches.append(_approach(rig))
-        frames, took_s = rig.frames[first:], rig.job.now_s() - begun_s
-        found = upsets(rig, disturbances, rng)
-        events, priority = _since(rig.events, begun_s), rig.priority
+        try:
+            while not approaches or rig.job.now_s() < begun_s + duration_s:
+                approaches.append(_approach(rig))
+                heard(_approach_line(approaches[-1]))
+            last, took_s = len(rig.frames), rig.job.now_s() - begun_s
+            for each in upsets(rig, disturbances, rng):
+                found.append({**asdict(each), "held": each.held})
+                heard(_upset_line(found[-1]))
+        except KeyboardInterrupt:
+            cut_off = "interrupted"
+        except DataError as error:
+            cut_off = str(error)
+        if last is None:
+            last, took_s = len(rig.frames), rig.job.now_s() - begun_s
+        frames, events, priority = rig.frames[first:last], _since(rig.events, begun_s), rig.priority
     return {
         "scenario": scenario.name,
+        "cut_off": cut_off,
         "duration_s": round(took_s, 3),
         "priority": priority,
         "load_average": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
@@ -52,7 +74,7 @@ def drive_in_real_time(
         "approaches": approaches,
         "collision": any(each["collision"] for each in approaches),
         "events": events,
-        "upsets": [{**asdict(each), "held": each.held} for each in found],
+        "upsets": found,
     }
 
 
@@ -160,11 +182,13 @@ def describe(result: dict[str, Any]) -> str:
     if result["photon_to_brake_ms"] is not None:
         lines.append(f"command    {_line(result['photon_to_command_ms'])} after the light")
         lines.append(f"brake      {_line(result['photon_to_brake_ms'])} after the light")
-    for each in result["approaches"]:
-        gap = "nothing near" if each["least_gap_m"] is None else f"least gap {each['least_gap_m']:.2f} m"
-        hit = ", COLLISION" if each["collision"] else ""
-        lines.append(f"approach   up to {each['top_speed_mps']:.2f} m/s, stopped by {each['stopped_by']}, {gap}{hit}")
+    lines += [_approach_line(each) for each in result["approaches"]]
     lines += [_upset_line(each) for each in result["upsets"]]
+    if result["upsets"]:
+        held = sum(each["held"] for each in result["upsets"])
+        lines.append(f"upsets     {held} of {len(result['upsets'])} as stated")
+    if result["cut_off"] is not None:
+        lines.append(f"CUT OFF    {result['cut_off']}")
     return "\n".join(lines)
 
 
@@ -177,6 +201,12 @@ _PRIORITIES = {
 
 def _line(quantiles: dict[str, float]) -> str:
     return f"{quantiles['p50']:.1f} ms (99 %: {quantiles['p99']:.1f} ms, max {quantiles['max']:.1f} ms)"
+
+
+def _approach_line(each: dict[str, Any]) -> str:
+    gap = "nothing near" if each["least_gap_m"] is None else f"least gap {each['least_gap_m']:.2f} m"
+    hit = ", COLLISION" if each["collision"] else ""
+    return f"approach   up to {each['top_speed_mps']:.2f} m/s, stopped by {each['stopped_by']}, {gap}{hit}"
 
 
 def _upset_line(each: dict[str, Any]) -> str:

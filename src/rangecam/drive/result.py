@@ -60,6 +60,7 @@ class Drive:
     fast, when. least_gap_m: smallest true gap, 0 after a contact. braked_s: first take-over (inf: never), for `reason`;
     by_fault: that was a fault of the system and no object. stood_s: standstill after it. frames: that were perceived.
     refused: take-overs that the gate refused, by reason. frames_on_bus: by identifier.
+    friction, friction_sigma: what the stops have shown of it and its standard deviation, NaN where they showed nothing.
     """
 
     scenario: str
@@ -77,6 +78,8 @@ class Drive:
     duration_s: float = 0.0
     refused: Mapping[str, int] = field(default_factory=dict)
     frames_on_bus: Mapping[int, int] = field(default_factory=dict)
+    friction: float = math.nan
+    friction_sigma: float = math.nan
 
 
 def as_json(drive: Drive) -> dict[str, Any]:
@@ -94,6 +97,8 @@ def as_json(drive: Drive) -> dict[str, Any]:
         "impact_kmh": plain(3.6 * drive.impact_mps),
         "least_gap_m": plain(drive.least_gap_m),
         "latency": {**latency, "total_s": plain(drive.latency.total_s)},
+        "friction": plain(drive.friction),
+        "friction_sigma": plain(drive.friction_sigma),
         "refused": dict(drive.refused),
         "bus": {f"0x{number:02X}": count for number, count in sorted(drive.frames_on_bus.items())},
         "timeline": {name: [plain(float(v)) for v in column] for name, column in drive.timeline.items()},
@@ -121,6 +126,8 @@ def describe(drive: Drive) -> str:
         lines.append(f"latency    {1000 * drive.latency.total_s:.0f} ms from exposure to first effect of the brakes")
     if math.isfinite(drive.stood_s):
         lines.append(f"standstill at {drive.stood_s:.3f} s")
+    if math.isfinite(drive.friction):
+        lines.append(f"friction   {drive.friction:.2f} +- {drive.friction_sigma:.2f}, by how it stopped")
     if drive.hit:
         lines.append(f"collision  with {drive.hit} at {drive.hit_s:.3f} s, {3.6 * drive.impact_mps:.1f} km/h")
     else:

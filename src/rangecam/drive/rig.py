@@ -12,6 +12,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
+from rangecam.brake.gate import disarm
 from rangecam.brake.machine import CarState, Inputs, Mode, Perception
 from rangecam.brake.unit import BrakeSettings, step
 from rangecam.can.bus import Bus
@@ -185,8 +186,10 @@ class Rig:
         self.job.go_s.value = math.inf
 
     def close(self) -> None:
-        """End all processes."""
+        """End all processes; the watchdog gives control back."""
         self.job.over.value = 1
+        _, last = disarm(self._watchdog.gate)
+        self._bus.send_frame(last.can_id, last.data)
         for process in self._processes.values():
             if process.is_alive():
                 os.kill(process.pid, signal.SIGCONT)

@@ -9,6 +9,7 @@ still. What comes in is stamped by the kernel where it can: that a process gets 
 
 import json
 import math
+import signal
 import socket
 import sys
 import time
@@ -97,8 +98,7 @@ class Job:
 
 def camera(job: Job) -> None:
     """Stream an image each frame period when it is read out, seen from where the car is; skip those missed."""
-    sooner()
-    keep_memory()
+    _settle()
     config, period_s = job.config, 1 / job.config.camera.frame_rate_hz
     bundle = ray_bundle(
         config.camera.lens, config.mounting, (config.camera.rows, config.camera.columns), job.scenario.subpixels
@@ -143,10 +143,9 @@ def _moved_on(known_s: float, pose: Pose, time_s: float) -> Pose:
 def perception(job: Job) -> None:
     """Take the stream in, perceive, decide, and send take-overs over the bus; report each frame and a sign of life.
 
-    It starts as a fault and brakes until it has been seen to work.
+    It starts as a fault and brakes until it has been seen to work. When all is over it gives control back.
     """
-    sooner()
-    keep_memory()
+    _settle()
     config, stale_s = job.config, job.settings.missed_frames / job.config.camera.frame_rate_hz
     sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as stack:
@@ -179,6 +178,8 @@ def perception(job: Job) -> None:
                 signed_s, state = done_s, mind.unit.state
                 why = {"mode": int(state.mode), "reason": state.cause.reason}
                 _tell(report, job.report_port, {"role": "perception", "time_s": done_s, **why})
+        last = mind.leave()
+        bus.send_frame(last.can_id, last.data)
 
 
 def _receiver(job: Job) -> Receiver:
@@ -228,8 +229,7 @@ def car(job: Job) -> None:
     What it does while its process stands still is what it was told last: the actuators know nothing of that. With its
     process the vehicle itself is gone; the next one stands at the start, and stays there until it is let go.
     """
-    sooner()
-    keep_memory()
+    _settle()
     scenario, settings, vehicle = job.scenario, job.settings, job.settings.vehicle
     dt, road, born_s = settings.step_s, Road(settings.friction), job.now_s()
     state, unit, command, taken = _at_start(job, born_s), UnitState(), Command(0.0, 1.0), False
@@ -260,6 +260,13 @@ def car(job: Job) -> None:
                 out, job.report_port, {"role": "car", "speed_mps": state.speed_mps, "born_s": born_s, **where, **obeys}
             )
             job.sleep(max(0.0, now_s + dt - job.now_s()))
+
+
+def _settle() -> None:
+    """Start sooner than others, keep the memory, and leave Ctrl-C to who started this process, and will end it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sooner()
+    keep_memory()
 
 
 def _at_start(job: Job, time_s: float) -> VehicleState:

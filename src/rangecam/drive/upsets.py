@@ -1,6 +1,7 @@
 """What goes wrong on purpose: processes killed, restarted and frozen while the car drives, and what is stated of it."""
 
 import signal
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,12 +141,10 @@ def _held(rig: Rig, began_s: float) -> bool:
     return held < len(since) and all(each["speed_mps"] < STANDS_MPS for each in since[: held + 1])
 
 
-def upsets(rig: Rig, count: int, rng: np.random.Generator) -> list[Upset]:
-    """Return so many upsets: each kind once in a drawn order, again and again."""
-    found: list[Upset] = []
+def upsets(rig: Rig, count: int, rng: np.random.Generator) -> Iterator[Upset]:
+    """Yield so many upsets as they happen: each kind once in a drawn order, again and again."""
     order: list[tuple[str, str]] = []
     for _ in range(count):
         order = order or [KINDS[k] for k in rng.permutation(len(KINDS))]
         role, action = order.pop()
-        found.append(upset(rig, role, action, rng))
-    return found
+        yield upset(rig, role, action, rng)

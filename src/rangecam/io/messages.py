@@ -52,7 +52,12 @@ def _schema(**properties: Any) -> dict[str, Any]:
 SCHEMAS = {
     "rangecam.Frame": _schema(frame_id=_INTEGER, time_s=_NUMBER, topics=_TEXTS),
     "rangecam.Ego": _schema(
-        time_s=_NUMBER, speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, forward=_BOOLEAN, braking=_BOOLEAN
+        time_s=_NUMBER,
+        speed_mps=_NUMBER,
+        yaw_rate_radps=_NUMBER,
+        forward=_BOOLEAN,
+        braking=_BOOLEAN,
+        friction=_NUMBER,
     ),
     "rangecam.Truth": _schema(names=_TEXTS, positions_m=_ROWS, velocities_mps=_ROWS),
     "rangecam.Tracks": _schema(
@@ -187,8 +192,9 @@ def capture_messages(capture: Capture) -> Iterator[Topic]:
         "forward": ego.forward,
         "braking": ego.braking,
     }
-    if ego.speed_mps is not None:
-        values["speed_mps"] = ego.speed_mps
+    for name in _WHERE_KNOWN:
+        if getattr(ego, name) is not None:
+            values[name] = getattr(ego, name)
     yield "/ego", Json("rangecam.Ego", values)
     if truth is not None:
         for name in _TRUTH_IMAGES:
@@ -197,6 +203,7 @@ def capture_messages(capture: Capture) -> Iterator[Topic]:
         yield "/truth", Json("rangecam.Truth", lists)
 
 
+_WHERE_KNOWN = ("speed_mps", "friction")
 _TRUTH_IMAGES = ("range_m", "reflectivity", "object_id")
 
 
@@ -231,10 +238,9 @@ def read_capture(messages: Mapping[str, bytes]) -> Capture:
             raise DataError("no raw plane in it")
         topic = "/ego"
         ego = json.loads(messages[topic])
-        speed = float(ego["speed_mps"]) if "speed_mps" in ego else None
-        state = Ego(
-            float(ego["time_s"]), speed, float(ego["yaw_rate_radps"]), bool(ego["forward"]), bool(ego.get("braking"))
-        )
+        speed, friction = (float(ego[name]) if name in ego else None for name in _WHERE_KNOWN)
+        yaw_rate, forward, braking = float(ego["yaw_rate_radps"]), bool(ego["forward"]), bool(ego.get("braking"))
+        state = Ego(float(ego["time_s"]), speed, yaw_rate, forward, braking, friction)
         topic = "/truth"
         truth = _read_truth(messages) if topic in messages else None
     except DataError as error:
