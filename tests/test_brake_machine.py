@@ -458,7 +458,8 @@ def test_the_first_car_state_may_have_any_speed() -> None:
 def test_a_machine_that_has_not_begun_has_seen_and_heard_nothing_and_asks_for_nothing() -> None:
     state = BrakeState()
     assert (state.image_s, state.car_s, state.released_s) == (-math.inf,) * 3
-    assert (state.standing_s, state.number, state.good_images, state.speed_mps) == (math.inf, 0, 0, 0.0)
+    assert (state.wheels_s, state.standing_s) == (math.inf, math.inf)
+    assert (state.number, state.good_images, state.speed_mps) == (0, 0, 0.0)
     assert (state.perception.received_s, state.perception.time_s, state.car.received_s) == (-math.inf,) * 3
     assert Request(0.0, 0, Action.NONE).brake == 0.0
 
@@ -477,6 +478,22 @@ def test_the_least_and_the_greatest_possible_speed_are_believed(speed_mps: float
     stops = stopping(speed_mps=4.0, max_speed_mps=4.25)
     stops.step(speed_mps=speed_mps)
     assert stops.state.speed_mps == pytest.approx(speed_mps or 4.0 - 4.0 * TICK_S)
+
+
+def test_a_car_that_is_seen_to_slide_on_locked_wheels_does_not_stand() -> None:
+    drive = stopping(speed_mps=1.0)
+    drive.steps(16, speed_mps=0.0, track_id=3, closing_mps=0.5)
+    assert drive.state.speed_mps == 0.0  # it must stand by now on the road that is reckoned with
+    assert set(drive.steps(60, speed_mps=0.0, track_id=3, closing_mps=0.2)) == {Mode.STOPPING}
+    modes = drive.steps(40, speed_mps=0.0, track_id=3, closing_mps=0.1)
+    assert modes.index(Mode.USER_CONTROL) == math.ceil(SETTINGS.standstill_time_s / TICK_S)
+
+
+def test_somebody_who_walks_up_to_a_standing_car_holds_it_for_some_seconds_only() -> None:
+    drive = stopping(speed_mps=0.25, max_slide_s=1.0)
+    modes = drive.steps(200, speed_mps=0.0, track_id=3, closing_mps=1.0)
+    stands_s = 1.0 + TICK_S + SETTINGS.standstill_time_s
+    assert modes.index(Mode.USER_CONTROL) == pytest.approx(stands_s / TICK_S + 0.25 / 4.0 / TICK_S, abs=2)
 
 
 def test_of_two_car_states_that_arrived_at_once_the_first_counts() -> None:

@@ -250,3 +250,27 @@ def test_braking_that_has_begun_goes_on_beyond_the_limit_until_little_is_needed(
 def test_at_contact_braking_goes_on() -> None:
     assert keeps_braking(Threat(0.0, 0.4, 5.0), DecisionSettings())
     assert not keeps_braking(Threat(0.0, 0.0, 5.0), DecisionSettings())
+
+
+def test_the_speed_is_that_of_the_track_and_where_it_has_none_that_at_which_the_gap_shrinks() -> None:
+    spread = {"distance_sigma_m": 0.2, "speed_sigma_mps": 0.2}
+    ways = {
+        speed: too_late(Threat(2.3, 2.8, 900.0, speed_mps=speed, **spread), 3.0, SURE) for speed in (math.nan, 2.8, 3.0)
+    }
+    assert ways[math.nan] == ways[2.8] != ways[3.0]
+
+
+def test_our_deceleration_is_uncertain_by_its_share() -> None:
+    threat = Threat(2.3, 3.0, 900.0, speed_mps=3.0, distance_sigma_m=0.1, speed_sigma_mps=0.1)
+    full = full_deceleration(SURE)
+    own, delay_s = (3.0, full, SURE.deceleration_sigma * full), SURE.reaction_time_s + SURE.frame_period_s
+    gap_m = 2.3 - SURE.standstill_gap_m
+    assert full > 2
+    assert too_late(threat, 3.0, SURE) == p_too_late(gap_m, 3.0, (0.1, 0.1, 0.0), 0.0, own, delay_s)
+
+
+def test_a_probability_that_is_just_what_is_asked_for_brakes() -> None:
+    threat = Threat(0.5, 3.0, 900.0, p_lateral=0.75)
+    p = too_late(threat, 3.0, EXACT)
+    for false, brakes in ((1 - p, True), (1 - p - 1e-9, False)):
+        assert must_brake_surely(threat, 3.0, True, dataclasses.replace(EXACT, false_brake_probability=false)) == brakes

@@ -132,6 +132,7 @@ def perceived(frame: Frame, health: Health) -> Perception:
         scene_speed_mps=_scene_speed(frame),
         track_id=decision.track_id,
         distance_m=decision.distance_m if decision.track_id else math.inf,
+        closing_mps=decision.closing_speed_mps if decision.track_id else 0.0,
     )
 
 

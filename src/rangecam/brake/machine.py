@@ -80,6 +80,10 @@ class MachineSettings:
     sure_deceleration_mps2: Positive = 2.9
     """While we brake the car loses speed at least so fast (mu 0.3). Wheels that stop sooner may have locked: before the
     car itself must have stopped, it does not count as standing."""
+    slide_mps: NonNegative = 0.1
+    """Nor does it while what is in front is seen to come closer faster than this: it may slide on locked wheels ..."""
+    max_slide_s: NonNegative = 3.0
+    """... but for no longer than this: it may as well be somebody who walks up to a car that stands."""
     speed_step_mps: NonNegative = 0.3
     """Allowance of both for noise and for messages that come bunched."""
     scene_speed_mps: Positive = 1.0
@@ -93,7 +97,8 @@ class Perception:
     frame_id, time_s: of the raw frame, on the camera's clock. received_s: arrival of the raw frame on the clock of
     the decision unit, so that its age counts the processing. brake, reason: of the decision.
     faults: what `health.judge` found. scene_speed_mps: speed at which the scene comes closer, None where unknown.
-    track_id, distance_m: what the decision is about, 0 for nothing, and the free way to it.
+    track_id, distance_m, closing_mps: what the decision is about, 0 for nothing, the free way to it, and how fast that
+        shrinks, as far as that is certain.
     """
 
     frame_id: int
@@ -105,6 +110,7 @@ class Perception:
     scene_speed_mps: float | None = None
     track_id: int = 0
     distance_m: float = math.inf
+    closing_mps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +165,8 @@ class BrakeState:
     image_s, car_s: arrival of the last good one. image_fault, car_fault: what was wrong with the last bad one since.
     good_images: in a row without a fault, up to as many as are needed.
     speed_mps: of the car, which may exceed that of its wheels.
-    standing_s: arrival of the first good car state in a row that says standstill, inf where it does not.
+    wheels_s: arrival of the first good car state in a row that says standstill, inf where it does not; standing_s: of
+        the first of these that the images do not contradict.
     released_s: when control was given back last.
     """
 
@@ -174,6 +181,7 @@ class BrakeState:
     car_s: float = -math.inf
     car_fault: Fault = Fault.NO_CAR_STATE
     speed_mps: float = 0.0
+    wheels_s: float = math.inf
     standing_s: float = math.inf
     released_s: float = -math.inf
 
@@ -260,17 +268,20 @@ def _take_car(state: BrakeState, inputs: Inputs, settings: MachineSettings) -> B
         return state
     fault = _car_fault(new, state, inputs, settings)
     if fault is not None and state.mode is not Mode.FAULT:
-        return changed(state, car_fault=fault, standing_s=math.inf)
+        return changed(state, car_fault=fault, wheels_s=math.inf, standing_s=math.inf)
     speed_mps = _own_speed(new, state, settings)
     if fault is not None:
-        return changed(state, car=new, car_fault=fault, speed_mps=speed_mps, standing_s=math.inf)
-    stands = speed_mps <= settings.standstill_mps
+        return changed(state, car=new, car_fault=fault, speed_mps=speed_mps, wheels_s=math.inf, standing_s=math.inf)
+    wheels_s = min(state.wheels_s, new.received_s) if speed_mps <= settings.standstill_mps else math.inf
+    slides = state.perception.closing_mps > settings.slide_mps and new.received_s - wheels_s <= settings.max_slide_s
+    stands = math.isfinite(wheels_s) and not slides
     return changed(
         state,
         car=new,
         car_s=new.received_s,
         car_fault=Fault.NO_CAR_STATE,
         speed_mps=speed_mps,
+        wheels_s=wheels_s,
         standing_s=min(state.standing_s, new.received_s) if stands else math.inf,
     )
 

@@ -117,13 +117,13 @@ class Mind:
         found, car = self._inputs.perception, self._inputs.car
         while self._waiting and self._waiting[0][0] <= time_s:
             _, _, found, self.frame = heapq.heappop(self._waiting)
-        self._inputs = Inputs(time_s, found, car)
         known = self.unit.friction.mu
+        self._inputs = Inputs(time_s, found, car)
         self.unit, _, frame = step(self.unit, self._inputs, self._brake)
+        self._thought = time_s, self._inputs.car, self._steer
         if self.unit.friction.mu != known:
             self._friction = cautious(self.unit.friction, self._brake.friction)
             self._brake = brake_settings(self._config, self._settings, self._friction)
-        self._thought = time_s, self._inputs.car, self._steer
         return [] if frame is None else [frame]
 
     def leave(self) -> CanFrame:
