@@ -106,7 +106,7 @@ def _looked(friction: Friction, seen: Perception, speed_mps: float, s: FrictionS
 
 def after_stop(friction: Friction, s: FrictionSettings) -> Friction:
     """Return what is known if the stop under way ends here: what it says, weighted with what was known before."""
-    found = _fitted(friction, s)
+    found = _fitted(friction, s) if friction.braking else None
     if found is None:
         return friction
     mu, variance = found

@@ -171,7 +171,7 @@ def encode(message: Message) -> tuple[int, bytes]:
         if signal == "AutoPower":
             value = min(value, most)
         if not least <= value <= most:
-            _check_range(name, signal, value)
+            raise _beyond(name, signal, value)
         bits |= (to_raw(value) & mask) << start
     return frame_id, bits.to_bytes(length, "little")
 
@@ -218,7 +218,12 @@ def _decoded(can_id: int, data: bytes) -> Message:
 
 
 def _check_range(name: str, signal: str, value: float) -> None:
-    least, most, unit = _limits(name)[signal]
+    least, most, _ = _limits(name)[signal]
     if not least <= value <= most:
-        allowed = f"{least:g} to {most:g} {unit}".rstrip()
-        raise CodecError(Reason.RANGE, f"{name}.{signal} = {value:g}: expected {allowed}")
+        raise _beyond(name, signal, value)
+
+
+def _beyond(name: str, signal: str, value: float) -> CodecError:
+    least, most, unit = _limits(name)[signal]
+    allowed = f"{least:g} to {most:g} {unit}".rstrip()
+    return CodecError(Reason.RANGE, f"{name}.{signal} = {value:g}: expected {allowed}")
