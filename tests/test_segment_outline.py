@@ -68,7 +68,21 @@ def behind(step_m, reason=Why.VALID, gap=0, sigma_m=0.01):
 @pytest.mark.parametrize("reason", [Why.VALID, Why.OUTSIDE_AREA])
 @pytest.mark.parametrize("gap", [0, 1, 2])
 def test_something_nearer_at_the_outline_hides_a_part_also_behind_flying_pixels(reason, gap):
-    assert segment(*behind(1.0, reason, gap)).cut == Cut.OCCLUDED
+    assert segment(*behind(1.0, reason, gap)).cut == Cut.OCCLUDED | Cut.HIDDEN_RIGHT
+
+
+@pytest.mark.parametrize(("columns", "sides"), [(np.s_[10:20], Cut.HIDDEN_LEFT), (np.s_[40:50], Cut.HIDDEN_RIGHT)])
+@pytest.mark.parametrize(("rows", "most"), [(np.s_[10:16], True), (np.s_[10:14], False)])
+def test_a_side_is_hidden_where_most_of_it_is(columns, sides, rows, most):
+    source = wall()
+    source.range_m[rows, columns] = 2.0
+    assert segment(block(slice(10, 20), slice(20, 40)), source).cut == Cut.OCCLUDED | (sides if most else 0)
+
+
+def test_what_hides_the_lower_part_hides_no_side():
+    source = wall()
+    source.range_m[20:25, 15:45] = 2.0
+    assert segment(block(slice(10, 20), slice(20, 40)), source, Mounting(z_m=3.0)).cut == Cut.OCCLUDED
 
 
 @pytest.mark.parametrize(
@@ -83,7 +97,7 @@ def test_a_stray_near_pixel_at_the_outline_hides_nothing():
     source.range_m[15, 40] = 2.0
     assert segment(block(slice(10, 20), slice(20, 40)), source).cut == 0
     source.range_m[10:20, 40] = 2.0
-    assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.1).cut == Cut.OCCLUDED
+    assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.1).cut & Cut.OCCLUDED
     assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.3).cut == 0
 
 

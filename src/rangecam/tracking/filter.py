@@ -326,8 +326,8 @@ def unseen(
     """Raise the covariances of what is cut short and may be part of a larger track, in place.
 
     seen: position, size, cut of the segments. Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of
-    what is seen. If z (M, 3) is given, it becomes the positions, and of what one side of the image cuts the centre of
-    the whole: half of W from the end that is seen, as surely as W is known.
+    what is seen. If z (M, 3) is given, it becomes the positions, and of what is cut at one side the centre of the
+    whole: half of W from the end that is seen, as surely as W is known.
     """
     position, size, cut = seen
     if z is not None:
@@ -341,19 +341,19 @@ def unseen(
             missing, spread = _missing(x, P, memory, position[j], R[j], size[j], a)
             if z is not None:  # noqa: SIM102 - Numba leaves it out where there is none
                 if a == 1 and one_sided(cut[j]):
-                    z[j, 1] += missing / 2 if cut[j] & _LEFT else -missing / 2
-                    R[j, 1, 1] += spread / 4
+                    z[j, 1] += missing / 2 if cut[j] & LEFT != 0 else -missing / 2
+                    R[j, 1, 1] += spread / 4 - (rules[16] * size[j, 1] ** 2 if spread > 0 else 0.0)
                     continue
             R[j, a, a] += rules[16] * missing**2
 
 
 @njit(cache=True, nogil=True)
 def one_sided(cut: int) -> bool:
-    """Return whether one side of the image cuts a segment, and the other does not."""
-    return bool((cut & _LEFT != 0) != (cut & _RIGHT != 0))
+    """Return whether one side of a segment is cut by the image or by something nearer, and the other is its own."""
+    return bool((cut & LEFT != 0) != (cut & RIGHT != 0))
 
 
-_LEFT, _RIGHT = int(Cut.LEFT), int(Cut.RIGHT)
+LEFT, RIGHT = int(Cut.LEFT | Cut.HIDDEN_LEFT), int(Cut.RIGHT | Cut.HIDDEN_RIGHT)
 
 
 @njit(cache=True, nogil=True)

@@ -45,6 +45,8 @@ class TrackingSettings:
     """The same, beside it, where the image's edge or something nearer cuts an object short: 1 over the root
     of 12 is that of missing anything, evenly, up to as much as is seen. Beside the image ends what is near first, so
     that the depth is cut as well."""
+    cut_width_m: NonNegative = 0.0
+    """How wide something is expected to be that is cut short when it is seen first, if it is not seen to be wider."""
     frame_time_sigma_s: NonNegative = 0.0
     """Jitter of the frames' time stamps; it blurs the position of a moving object along its way."""
     confirm_hits: PositiveInt = 3
