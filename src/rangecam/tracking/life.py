@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.tracking.filter import ACROSS, LEFT, RIGHT, Seen, complete
+from rangecam.tracking.filter import ACROSS, LEFT, RIGHT, Seen, complete, wander
 from rangecam.tracking.living import GONE, left_over
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import first_memory, shapes
@@ -39,6 +39,9 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     P[:, range(9), range(9)] = (0.0, settings.speed_sigma_mps**2, settings.acceleration_sigma_mps2**2) * 3
     P[:, 6:] *= settings.motion.vertical_share**2
     P[:, ::3, ::3] = R
+    P[:, range(0, 9, 3), range(0, 9, 3)] += wander(memory, settings.outline_sigma**2)
+    if settings.position_lasts_s > 0:
+        P[:, range(0, 9, 3), range(0, 9, 3)] += settings.position_sigma_m**2
     unknown[:, CLASSES.index("unknown")] = 1.0
     once = np.ones(n, int)
     status = TrackStatus.CONFIRMED if settings.confirm_hits == 1 else TrackStatus.TENTATIVE
