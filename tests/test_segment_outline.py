@@ -141,12 +141,24 @@ def test_the_nearest_point_of_an_oblique_wall_is_at_its_near_end():
 @given(st.integers(0, 1000), st.floats(0.01, 0.5))
 @settings(max_examples=15, deadline=None)
 def test_the_nearest_point_is_the_mean_of_what_is_not_farther_than_the_quantile(seed, fraction):
-    source = wall()
+    source = wall(sigma_m=1e-4)
     source.range_m[:] = 2 + np.random.default_rng(seed).gamma(2.0, 0.3, SHAPE)
     one = segment(block(slice(None), slice(None)), source, near_fraction=fraction)
     points = to_world(source, LENS, Mounting()).reshape(-1, 3)
     near = points[points[:, 0] <= np.float32(one.near_m)]
     assert_allclose(one.nearest_m[1:], near[:, 1:].mean(axis=0), atol=1e-5)
+
+
+def test_noise_brings_the_near_end_of_an_oblique_wall_hardly_nearer():
+    ray, near, quantile = rays(LENS, SHAPE), [], []
+    for noise_m in (1e-4, 0.5):
+        source = wall(sigma_m=noise_m)
+        source.range_m[:] = 4.0 / (ray[..., 0] + 0.3 * ray[..., 1])
+        source.range_m[:] += noise_m * np.random.default_rng(5).standard_normal(SHAPE)
+        near.append(segment(block(slice(None), slice(None)), source).near_m)
+        quantile.append(np.quantile(to_world(source, LENS, Mounting())[..., 0], 0.05))
+    assert quantile[1] < quantile[0] - 0.2
+    assert near[1] == pytest.approx(near[0], abs=float(quantile[0] - quantile[1]) / 2)
 
 
 def test_the_profile_follows_the_outline_from_the_top_to_the_bottom():
