@@ -35,7 +35,7 @@ Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, F
 nor NIS."""
 ACROSS, UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.OCCLUDED)
 """What cuts an object short beside it, and above or below it."""
-_Room = tuple[Floats, Floats, Floats, Floats]
+_Room = tuple[Floats, Floats, Floats]
 _Turning = tuple[Floats, Floats, Floats, Floats, Floats]
 
 
@@ -659,7 +659,7 @@ def _blend(x: Floats, P: Floats, weights: Floats, measured: _Measured, wander: F
 @njit(cache=True, nogil=True)
 def _room() -> _Room:
     """Return what `_correct` computes in: made once, because making it takes as long as an update."""
-    return np.empty((3, 3)), np.empty((3, 3)), np.empty((9, 3)), np.empty((9, 3))
+    return np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 9))
 
 
 @njit(cache=True, nogil=True)
@@ -668,22 +668,26 @@ def _correct(
 ) -> tuple[float, float]:
     """Update one state by one measurement in place; return the squared distance of the two and det S.
 
-    room: (3, 3), (3, 3), (9, 3), (9, 3) to compute in.
+    room: (3, 3), (3, 3), (3, 9) to compute in.
     """
-    S, V, W, K = room
+    S, V, W = room
     _innovation_covariance(x, P, R, time_variance, wander, S)
     determinant = _invert(S, V)
     squared = _squared_distance(x, V, z)
     u, v, w = z[0] - x[0], z[1] - x[3], z[2] - x[6]
+    for b in range(9):
+        W[0, b], W[1, b], W[2, b] = P[0, b], P[3, b], P[6, b]  # H P
     for a in range(9):
-        W[a, 0], W[a, 1], W[a, 2] = P[a, 0], P[a, 3], P[a, 6]  # P H'
-        for b in range(3):
-            K[a, b] = W[a, 0] * V[0, b] + W[a, 1] * V[1, b] + W[a, 2] * V[2, b]
+        p0, p1, p2 = W[0, a], W[1, a], W[2, a]
+        k0 = p0 * V[0, 0] + p1 * V[1, 0] + p2 * V[2, 0]
+        k1 = p0 * V[0, 1] + p1 * V[1, 1] + p2 * V[2, 1]
+        k2 = p0 * V[0, 2] + p1 * V[1, 2] + p2 * V[2, 2]
+        x[a] += k0 * u + k1 * v + k2 * w
+        for b in range(9):  # P - K S K', whole rows: so they are computed several at once
+            P[a, b] -= k0 * W[0, b] + k1 * W[1, b] + k2 * W[2, b]
     for a in range(9):
-        x[a] += K[a, 0] * u + K[a, 1] * v + K[a, 2] * w
-        for b in range(a, 9):  # P - K S K', symmetric by construction
-            P[a, b] -= K[a, 0] * W[b, 0] + K[a, 1] * W[b, 1] + K[a, 2] * W[b, 2]
-            P[b, a] = P[a, b]
+        for b in range(a):
+            P[a, b] = P[b, a]
     return squared, determinant
 
 
