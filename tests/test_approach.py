@@ -78,8 +78,8 @@ def test_closing_speed_and_time_to_collision_are_those_of_motion_capture() -> No
                 inside.append(error < 2 * found.sigma_mps)
                 ttc.append(abs(min(found.ttc_s, 100.0) / (f.gap_m[k] / -f.speed_mps[k]) - 1))
     assert len(present) > 250
-    assert np.median(speed) <= 0.06
-    assert np.median(ttc) <= 0.09
+    assert np.median(speed) <= 0.045
+    assert np.median(ttc) <= 0.07
     assert np.mean(present) >= 0.9
     assert 0.85 <= np.mean(inside) <= 0.99
 

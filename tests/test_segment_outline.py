@@ -68,7 +68,21 @@ def behind(step_m, reason=Why.VALID, gap=0, sigma_m=0.01):
 @pytest.mark.parametrize("reason", [Why.VALID, Why.OUTSIDE_AREA])
 @pytest.mark.parametrize("gap", [0, 1, 2])
 def test_something_nearer_at_the_outline_hides_a_part_also_behind_flying_pixels(reason, gap):
-    assert segment(*behind(1.0, reason, gap)).cut == Cut.OCCLUDED
+    assert segment(*behind(1.0, reason, gap)).cut == Cut.OCCLUDED | Cut.HIDDEN_RIGHT
+
+
+@pytest.mark.parametrize(("columns", "sides"), [(np.s_[10:20], Cut.HIDDEN_LEFT), (np.s_[40:50], Cut.HIDDEN_RIGHT)])
+@pytest.mark.parametrize(("rows", "most"), [(np.s_[10:16], True), (np.s_[10:14], False)])
+def test_a_side_is_hidden_where_most_of_it_is(columns, sides, rows, most):
+    source = wall()
+    source.range_m[rows, columns] = 2.0
+    assert segment(block(slice(10, 20), slice(20, 40)), source).cut == Cut.OCCLUDED | (sides if most else 0)
+
+
+def test_what_hides_the_lower_part_hides_no_side():
+    source = wall()
+    source.range_m[20:25, 15:45] = 2.0
+    assert segment(block(slice(10, 20), slice(20, 40)), source, Mounting(z_m=3.0)).cut == Cut.OCCLUDED
 
 
 @pytest.mark.parametrize(
@@ -83,7 +97,7 @@ def test_a_stray_near_pixel_at_the_outline_hides_nothing():
     source.range_m[15, 40] = 2.0
     assert segment(block(slice(10, 20), slice(20, 40)), source).cut == 0
     source.range_m[10:20, 40] = 2.0
-    assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.1).cut == Cut.OCCLUDED
+    assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.1).cut & Cut.OCCLUDED
     assert segment(block(slice(10, 20), slice(20, 40)), source, occluder_fraction=0.3).cut == 0
 
 
@@ -127,12 +141,24 @@ def test_the_nearest_point_of_an_oblique_wall_is_at_its_near_end():
 @given(st.integers(0, 1000), st.floats(0.01, 0.5))
 @settings(max_examples=15, deadline=None)
 def test_the_nearest_point_is_the_mean_of_what_is_not_farther_than_the_quantile(seed, fraction):
-    source = wall()
+    source = wall(sigma_m=1e-4)
     source.range_m[:] = 2 + np.random.default_rng(seed).gamma(2.0, 0.3, SHAPE)
     one = segment(block(slice(None), slice(None)), source, near_fraction=fraction)
     points = to_world(source, LENS, Mounting()).reshape(-1, 3)
     near = points[points[:, 0] <= np.float32(one.near_m)]
     assert_allclose(one.nearest_m[1:], near[:, 1:].mean(axis=0), atol=1e-5)
+
+
+def test_noise_brings_the_near_end_of_an_oblique_wall_hardly_nearer():
+    ray, near, quantile = rays(LENS, SHAPE), [], []
+    for noise_m in (1e-4, 0.5):
+        source = wall(sigma_m=noise_m)
+        source.range_m[:] = 4.0 / (ray[..., 0] + 0.3 * ray[..., 1])
+        source.range_m[:] += noise_m * np.random.default_rng(5).standard_normal(SHAPE)
+        near.append(segment(block(slice(None), slice(None)), source).near_m)
+        quantile.append(np.quantile(to_world(source, LENS, Mounting())[..., 0], 0.05))
+    assert quantile[1] < quantile[0] - 0.2
+    assert near[1] == pytest.approx(near[0], abs=float(quantile[0] - quantile[1]) / 2)
 
 
 def test_the_profile_follows_the_outline_from_the_top_to_the_bottom():

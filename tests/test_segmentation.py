@@ -310,7 +310,7 @@ def test_noise_makes_a_flat_plate_neither_thick_nor_near():
     source = image(3.0 / rays(LENS, SHAPE)[..., 0] + 0.05 * rng.standard_normal(SHAPE), 0.05)
     segment = measured(labels, source)[0]
     assert segment.size_m[0] < 0.1  # the extent of the noise alone would be 0.35
-    assert segment.near_m == pytest.approx(3.0 - 1.645 * 0.05 * 0.95, abs=0.01)
+    assert segment.near_m == pytest.approx(3.0, abs=0.02)  # the quantile of the noise alone would be 0.08 nearer
 
 
 @given(st.integers(0, 1000), st.floats(0.01, 0.5))

@@ -286,6 +286,56 @@ def test_the_common_position_error_and_the_extent_add_to_the_noise() -> None:
     np.testing.assert_allclose(variances, 0.01 + 0.09 + 0.01 * np.array([1.0, 4.0, 9.0]))
 
 
+@pytest.mark.parametrize("motion", [MotionSettings(drift_mps2=0.5), MotionSettings(modes=(Mode(drift_mps2=0.5),) * 2)])
+def test_the_innovations_are_chi_square_where_an_error_lasts_and_is_told_to(
+    motion: MotionSettings, rng: np.random.Generator
+) -> None:
+    dt_s, lasts_s, sigma_m, count = 0.05, 5.0, 0.1, 20
+    F, Q = (np.kron(np.eye(3), block) for block in MOTION["constant_acceleration"](dt_s, Mode(drift_mps2=0.5)))
+    root, kept = np.linalg.cholesky(Q), np.exp(-dt_s / lasts_s)
+    lasting = TrackingSettings(
+        motion=motion, position_sigma_m=sigma_m, position_lasts_s=lasts_s, extent_sigma=0.0, gate_probability=1 - 1e-12
+    )
+    ways = {"lasting": lasting, "each on its own": dataclasses.replace(lasting, position_lasts_s=0.0)}
+    tracks, nis = dict.fromkeys(ways, Tracks.empty()), {name: list[float]() for name in ways}
+    x, bias = np.zeros((count, 9)), rng.normal(0, sigma_m, (count, 3))
+    x[:, POSITION] = np.column_stack([np.full(count, 100.0), np.arange(count) * 50.0, np.zeros(count)])
+    for k in range(120):
+        segments = seen(x[:, POSITION] + bias + rng.normal(0, 0.02, (count, 3)), 0.02**2)
+        for name, settings in ways.items():
+            tracks[name] = update_tracks(tracks[name], segments, dt_s * k, settings)
+            nis[name] += list(tracks[name].nis) if k > 20 else []
+        x = x @ F.T + rng.normal(size=(count, 9)) @ root.T
+        bias = kept * bias + sigma_m * np.sqrt(1 - kept**2) * rng.normal(size=(count, 3))
+    assert np.mean(nis["lasting"]) / 3 == pytest.approx(1.0, abs=0.06)
+    assert np.mean(nis["each on its own"]) / 3 < 0.2
+    first = update_tracks(Tracks.empty(), seen([5, 0, 0]), 0.0, lasting)
+    np.testing.assert_allclose(first.covariance[0][POSITION, POSITION], 0.01 + sigma_m**2)
+
+
+def ends(count: int, sigma_m: float, rng: np.random.Generator, still: bool) -> list[Segments]:
+    """Something 1 m wide and high at rest, whose four ends err on their own; still: by the same in each frame."""
+    frames, error = [], rng.normal(0, sigma_m, (2, 2))
+    for _ in range(count):
+        error = error if still else rng.normal(0, sigma_m, (2, 2))
+        low, high = -0.5 + error[0], 0.5 + error[1]
+        size = np.array([[0.1, *(high - low)]])
+        frames.append(seen([5.0, *(high + low) / 2], 1e-6, size_m=size, box=np.array([[0, 0, 300, 300]])))
+    return frames
+
+
+def test_the_centroid_is_as_uncertain_as_the_ends_of_the_outline_are_restless(rng: np.random.Generator) -> None:
+    motion = MotionSettings(drift_mps2=0.01)
+    told = dataclasses.replace(
+        PLAIN, motion=motion, outline_sigma=0.5, speed_sigma_mps=0.01, gate_probability=1 - 1e-12
+    )
+    steps = follow(ends(400, 0.05, rng, still=False), told)
+    assert np.mean([each.nis[0] for each in steps[50:]]) / 3 == pytest.approx(0.75, abs=0.25)  # x hardly errs
+    quiet = follow(ends(60, 0.05, rng, still=True), told)
+    assert quiet[0].covariance[0, 3, 3] == pytest.approx(1e-6 + (0.5 * 0.3) ** 2, rel=0.4)  # how wide is not yet known
+    assert quiet[-1].covariance[0, 3, 3] < steps[-1].covariance[0, 3, 3] / 20
+
+
 def test_a_jitter_of_the_time_stamps_blurs_only_what_moves() -> None:
     def final(speed: float, jitter: float) -> Tracks:
         settings = dataclasses.replace(PLAIN, frame_time_sigma_s=jitter)

@@ -413,8 +413,13 @@ def passing(side: float, cut: int) -> list[Tracks]:
     return steps
 
 
-@pytest.mark.parametrize(("side", "cut"), [(1.0, Cut.LEFT), (-1.0, Cut.RIGHT)])
-def test_what_the_image_cuts_at_its_outer_side_is_placed_by_its_inner_end(side: float, cut: Cut) -> None:
+HIDDEN_LEFT, HIDDEN_RIGHT = Cut.OCCLUDED | Cut.HIDDEN_LEFT, Cut.OCCLUDED | Cut.HIDDEN_RIGHT
+
+
+@pytest.mark.parametrize(
+    ("side", "cut"), [(1.0, Cut.LEFT), (-1.0, Cut.RIGHT), (1.0, HIDDEN_LEFT), (-1.0, HIDDEN_RIGHT)]
+)
+def test_what_is_cut_or_hidden_at_its_outer_side_is_placed_by_its_inner_end(side: float, cut: Cut) -> None:
     steps = passing(side, int(cut))
     assert all(len(each) == 1 for each in steps)
     assert np.abs([each.state[0, 3] - 3 * side for each in steps]).max() < 0.05
@@ -423,8 +428,43 @@ def test_what_the_image_cuts_at_its_outer_side_is_placed_by_its_inner_end(side: 
     assert steps[-1].memory[0, MEMORY.index("placed_width")] == pytest.approx(2.0, rel=0.05)
 
 
-def test_what_is_hidden_on_any_side_is_placed_where_it_is_seen() -> None:
-    last = passing(1.0, int(Cut.OCCLUDED))[-1]
+@pytest.mark.parametrize("cut", [Cut.OCCLUDED, HIDDEN_LEFT | HIDDEN_RIGHT])
+def test_what_is_hidden_nobody_knows_where_or_on_both_sides_is_placed_where_it_is_seen(cut: Cut) -> None:
+    last = passing(1.0, int(cut))[-1]
     assert last.memory is not None
     assert last.memory[0, MEMORY.index("placed_width")] == pytest.approx(0.6, abs=0.2)
     assert last.state[0, 3] < 2.9
+
+
+def peeping(side: float, settings: TrackingSettings, cut: Cut, count: int = 8) -> Tracks:
+    """Something 0.5 m wide at rest, first seen as one edge beside something nearer that moves away to the side."""
+    frames = []
+    for k in range(count):
+        width = 0.1 + 0.04 * k
+        frames.append(seen([8.0, side * (0.25 - width / 2), 0.9], width=width, cut=int(cut)))
+    return follow(frames, settings)[-1]
+
+
+@pytest.mark.parametrize(("side", "cut"), [(1.0, HIDDEN_RIGHT), (-1.0, HIDDEN_LEFT)])
+def test_an_edge_that_is_seen_first_does_not_move_with_what_hides_the_rest(side: float, cut: Cut) -> None:
+    expecting = dataclasses.replace(PLAIN, cut_width_m=0.5)
+    known, blind = peeping(side, expecting, cut), peeping(side, PLAIN, cut)
+    assert abs(known.state[0, 3]) < 0.03
+    assert abs(known.state[0, 4]) < 0.1
+    assert side * blind.state[0, 4] < -0.2  # its centre moves as the rest comes into sight
+    first = peeping(side, expecting, cut, 1)
+    assert first.memory is not None
+    np.testing.assert_allclose(np.exp(first.memory[0, 0]), 0.5)
+    assert first.memory[0, MEMORY.index("placed_width")] == pytest.approx(0.5)
+    both = peeping(side, expecting, HIDDEN_LEFT | HIDDEN_RIGHT, 1)
+    assert both.state[0, 3] == pytest.approx(side * 0.2)  # on either side there may be more
+    assert both.covariance[0, 3, 3] > (0.29 * 0.4) ** 2
+
+
+def test_what_is_seen_whole_or_wider_than_expected_is_as_wide_as_it_is_seen() -> None:
+    expecting = dataclasses.replace(PLAIN, cut_width_m=0.5)
+    for width, cut in ((0.1, Cut(0)), (0.8, HIDDEN_LEFT)):
+        segments = seen([8.0, 0.2, 0.9], width=width, cut=int(cut))
+        new = [update_tracks(Tracks.empty(), segments, 0.0, settings) for settings in (PLAIN, expecting)]
+        np.testing.assert_array_equal(new[0].covariance, new[1].covariance)
+        np.testing.assert_array_equal(new[0].state, new[1].state)

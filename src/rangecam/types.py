@@ -141,7 +141,11 @@ class Cut(IntFlag):
     BOTTOM = 8
     """... the lower one."""
     OCCLUDED = 16
-    """Something nearer hides a part of it."""
+    """Something nearer hides a part of it, ..."""
+    HIDDEN_LEFT = 32
+    """... along most of its left side, ..."""
+    HIDDEN_RIGHT = 64
+    """... or of its right one. Neither: a small part of a side, or above or below."""
 
 
 @value

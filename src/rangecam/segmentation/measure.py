@@ -25,6 +25,8 @@ def measure_segments(
     the image position (König 2008, 6.4.3.3, E-K-22). Sizes come from the spread of the points: n pixels in a row have a
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
     Of a segment that is `cut` short they are those of the part that is seen, and an edge of the image is a sure end.
+    The nearest point is that of the surface: as far from the mean as a quantile of x, less the share of that spread
+    which is noise; of a plane that is seen squarely noise alone brings some pixels nearer.
     """
     labels, why = np.ascontiguousarray(labels), np.ascontiguousarray(image.why)
     count, shape = _number(labels), image.shape
@@ -132,7 +134,7 @@ def _measure(
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
     outline_profile(labels, points, box, profile)
-    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut)
+    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut, nearest_m)
     return True
 
 
@@ -230,6 +232,7 @@ def _evaluate(
     means: Any,
     n_pixels: Any,
     cut: Any,
+    nearest_m: Any,
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
@@ -253,7 +256,10 @@ def _evaluate(
             footprint2 = across * across + up * up
             noise2 = variance * (position_m[k, axis] - centre[axis]) ** 2 / radius2
             spread = max(sums[k, 4 + axis] / number - position_m[k, axis] ** 2 - noise2, 0.0)
-            depth_spread = spread if axis == 0 else depth_spread
+            if axis == 0:
+                depth_spread = spread
+                shape = math.sqrt(spread / (spread + noise2)) if spread > 0 else 0.0
+                nearest_m[k, 0] += (position_m[k, 0] - nearest_m[k, 0]) * (1 - shape)
             whole = bounds[k, 3 + axis] - bounds[k, axis] + math.sqrt(footprint2)
             size_m[k, axis] = min(math.sqrt(12 * spread + footprint2), whole)
         # an outline jitters at each of its pixels, and a straight edge steps as a whole; an edge of the image does not

@@ -24,7 +24,7 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
     flat, z, why = labels.reshape(-1), points.reshape(-1)[2::3], planes[2].reshape(-1)
     ranges = planes[0].reshape(-1), planes[1].reshape(-1)
     for k in range(len(box)):
-        outline, occluded, bits = 0, 0, 0
+        outline, occluded, bits, beside = 0, 0, 0, 0
         for side in range(4):  # left, right, top, bottom: the bits of Cut in their order
             across, from_end = side < 2, side % 2 == 1
             first, lines = (box[k, 0], box[k, 2] - box[k, 0]) if across else (box[k, 1], box[k, 3] - box[k, 1])
@@ -33,6 +33,7 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
             start = start + depth - 1 if from_end else start
             room = size - 1 - start if from_end else start  # pixels between the box and the edge of the image
             inward = -step if from_end else step
+            seen, hidden = outline, occluded
             for line in range(first, first + lines):
                 pixel, walked = line * line_step + start * step, 0
                 while walked < depth and flat[pixel] != k + 1:
@@ -46,10 +47,13 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
                     else:
                         far = min(room + walked, _FAR)
                         occluded += _hidden(flat, z, ranges, why, pixel, -inward, far, bounds[k, 2], limits)
-        cut[k] = bits | _OCCLUDED if occluded > max(1.0, limits[3] * outline) else bits
+            if across and 2 * (occluded - hidden) > outline - seen:
+                beside |= _HIDDEN_RIGHT if from_end else _HIDDEN_LEFT
+        cut[k] = bits | _OCCLUDED | beside if occluded > max(1.0, limits[3] * outline) else bits
 
 
-_OCCLUDED, _BORDER, _OUTSIDE, _FLOOR = int(Cut.OCCLUDED), int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
+_OCCLUDED, _HIDDEN_LEFT, _HIDDEN_RIGHT = int(Cut.OCCLUDED), int(Cut.HIDDEN_LEFT), int(Cut.HIDDEN_RIGHT)
+_BORDER, _OUTSIDE, _FLOOR = int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
 _FAR = 3  # pixels beyond the outline that are looked at
 
 

@@ -112,11 +112,13 @@ def _segment(
     tall = float(height.max()) + across_m * rng.standard_normal()
     y = float(weight @ (range_m * np.tan(azimuth[columns]))) + across_m * rng.standard_normal()
     cut = 0
-    for beside in (columns[0] - 1, columns[-1] + 1):
+    for beside, image, hidden in (
+        (columns[0] - 1, Cut.RIGHT, Cut.HIDDEN_RIGHT), (columns[-1] + 1, Cut.LEFT, Cut.HIDDEN_LEFT),
+    ):  # fmt: skip
         if not 0 <= beside < len(azimuth):
-            cut |= int(Cut.LEFT if beside >= len(azimuth) else Cut.RIGHT)
+            cut |= int(image)
         elif nearest[beside] < range_m.min():
-            cut |= int(Cut.OCCLUDED)
+            cut |= int(Cut.OCCLUDED | hidden)
     width = len(columns) * PITCH_RAD * x
     return {
         "position_m": [x, y, tall / 2],

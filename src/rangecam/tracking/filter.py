@@ -18,14 +18,16 @@ WHOLE, PAIRING, PAIRED = 0, 1, 2
 RULES = (
     *("gate", "common", "extent", "time_variance", "weight", "vertical", "confirm_hits", "confirm_frames"),
     *("max_misses", "max_misses_vru", "max_misses_vehicle", "max_misses_obstacle", "max_variance"),
-    *("euclidean", "adapt_s", "adapt_limit", "cut", "max_parts"),
+    *("euclidean", "adapt_s", "adapt_limit", "cut", "max_parts", "outline", "lasts_s"),
 )
 """What the kernels are told by the settings, as one array: largest squared distance, variance of every position, of the
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise;
 variance of the centroid of what is cut short, as a share of the squared size; frames in parts after which they are no
-longer one."""
+longer one; variance of the centroid as a share of that of the size."""
 _SPREAD, _NOISE = 3, 7  # columns of MEMORY
+_Measured = tuple[Floats, Floats, float, Ints, Floats]
+"""Positions and R of the segments, variance of the time, their pixels; `wander` of the tracks."""
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
 """label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m and cut of
@@ -33,7 +35,7 @@ Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, F
 nor NIS."""
 ACROSS, UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.OCCLUDED)
 """What cuts an object short beside it, and above or below it."""
-_Room = tuple[Floats, Floats, Floats, Floats]
+_Room = tuple[Floats, Floats, Floats]
 _Turning = tuple[Floats, Floats, Floats, Floats, Floats]
 
 
@@ -71,6 +73,7 @@ def advance(
     R = np.empty_like(position_covariance)
     complete(position_covariance, size, cut, rules, R)
     if stage != PAIRED:
+        drift = _drift(model[0, 0, 1], rules)
         if own is not None:
             room = _turning_room()
             for i in range(len(x)):
@@ -78,9 +81,12 @@ def advance(
         else:
             for i in range(len(x)):
                 _predict(state[i], covariance[i], model, rules[5], memory[i, _NOISE], x[i], P[i])
+        for i in range(len(x) if drift > 0 else 0):
+            for a in (0, 3, 6):
+                P[i, a, a] += drift
     z = np.empty_like(position)
     unseen(x, P, memory, (position, size, cut), rules, R, z)
-    measured = z, R, rules[3], pixels
+    measured = z, R, rules[3], pixels, wander(memory, rules[18])
     if stage != PAIRED:
         _gate(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
@@ -114,11 +120,15 @@ def advance_modes(
     complete(covariance, size, cut, rules, R)
     if stage != PAIRED:
         _predict_modes((old[0], old[1], old[2]), motion, (rules[5], memory), own, (mu, modes, spreads))
+        drift = _drift(motion[0][0, 0, 0, 1], rules)
         for i in range(len(x)):
+            for k in range(mu.shape[1] if drift > 0 else 0):
+                for a in (0, 3, 6):
+                    spreads[i, k, a, a] += drift
             _moments(mu[i], modes[i], spreads[i], x[i], P[i])
     z = np.empty_like(position)
     unseen(x, P, memory, (position, size, cut), rules, R, z)
-    measured = z, R, rules[3], pixels
+    measured = z, R, rules[3], pixels, wander(memory, rules[18])
     if stage != PAIRED:
         _gate(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
@@ -190,7 +200,7 @@ def _update_modes(
     mean: tuple[Floats, Floats],
     took: Ints,
     weights: Floats | None,
-    measured: tuple[Floats, Floats, float, Ints],
+    measured: _Measured,
     nis: Floats,
 ) -> None:
     """Update every mode of the tracks that took a segment, its probability by its likelihood, and their mean.
@@ -206,14 +216,14 @@ def _update_modes(
         if weights is not None:
             several = _any(weights[i])
             if several:
-                _blend_modes(mu[i], modes[i], spreads[i], weights[i], measured)
+                _blend_modes(mu[i], modes[i], spreads[i], weights[i], measured, measured[4][i])
         if took[i] >= 0 and not several:
             z, R = measured[0][took[i]], measured[1][took[i]]
             if measured[3][took[i]] > 0:
-                _innovation_covariance(x[i], P[i], R, measured[2], S)
+                _innovation_covariance(x[i], P[i], R, measured[2], measured[4][i], S)
                 _invert(S, V)
                 nis[i] = _squared_distance(x[i], V, z)
-            _correct_modes(mu[i], modes[i], spreads[i], z, R, measured[2], room, likelihood)
+            _correct_modes(mu[i], modes[i], spreads[i], z, R, measured[2], measured[4][i], room, likelihood)
         if several or took[i] >= 0:
             _moments(mu[i], modes[i], spreads[i], x[i], P[i])
 
@@ -226,12 +236,13 @@ def _correct_modes(
     z: Floats,
     R: Floats,
     time_variance: float,
+    wander: Floats,
     room: _Room,
     likelihood: Floats,
 ) -> None:
     """Update the modes (K,), (K, 9), (K, 9, 9) of one track and their probabilities by one measurement in place."""
     for k in range(mu.size):
-        squared, determinant = _correct(modes[k], spreads[k], z, R, time_variance, room)
+        squared, determinant = _correct(modes[k], spreads[k], z, R, time_variance, wander, room)
         likelihood[k] = -0.5 * (squared + math.log(determinant))
     best, total = likelihood[largest(likelihood)], 0.0
     for k in range(mu.size):
@@ -243,7 +254,7 @@ def _correct_modes(
 
 @njit(cache=True, nogil=True)
 def _blend_modes(
-    mu: Floats, modes: Floats, spreads: Floats, weights: Floats, measured: tuple[Floats, Floats, float, Ints]
+    mu: Floats, modes: Floats, spreads: Floats, weights: Floats, measured: _Measured, wander: Floats
 ) -> None:
     """Update one track's modes by several segments, each with the probability that it is the track's own.
 
@@ -265,7 +276,7 @@ def _blend_modes(
             each[k] = mu[k]
             _copy(modes[k], spreads[k], one[k], its[k])
         if j >= 0:
-            _correct_modes(each, one, its, measured[0][j], measured[1][j], measured[2], room, likelihood)
+            _correct_modes(each, one, its, measured[0][j], measured[1][j], measured[2], wander, room, likelihood)
         for k in range(K):
             share[k, at] = each[k] * (weights[j] if j >= 0 else max(rest, 0.0))
             _copy(one[k], its[k], states[k, at], covariances[k, at])
@@ -306,9 +317,15 @@ _LEAST_PROBABLE = 1e-9
 
 
 @njit(cache=True, nogil=True)
+def _drift(T: float, rules: Floats) -> float:
+    """Return the variance by which an error of the position that lasts, but not forever, changes within T."""
+    return -2 * rules[1] * math.expm1(-T / rules[19]) if rules[19] > 0 else 0.0
+
+
+@njit(cache=True, nogil=True)
 def complete(covariance: Floats, size: Floats, cut: Ints, rules: Floats, R: Floats) -> None:
     """Write the covariances of the positions, errors that the camera cannot know of included."""
-    common, extent, unseen = rules[1], rules[2], rules[16]
+    common, extent, unseen = rules[1] if rules[19] == 0 else 0.0, rules[2], rules[16]
     for j in range(size.shape[0]):
         across, up = cut[j] & ACROSS != 0, cut[j] & UP != 0
         for a in range(3):
@@ -326,8 +343,8 @@ def unseen(
     """Raise the covariances of what is cut short and may be part of a larger track, in place.
 
     seen: position, size, cut of the segments. Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of
-    what is seen. If z (M, 3) is given, it becomes the positions, and of what one side of the image cuts the centre of
-    the whole: half of W from the end that is seen, as surely as W is known.
+    what is seen. If z (M, 3) is given, it becomes the positions, and of what is cut at one side the centre of the
+    whole: half of W from the end that is seen, as surely as W is known.
     """
     position, size, cut = seen
     if z is not None:
@@ -341,19 +358,19 @@ def unseen(
             missing, spread = _missing(x, P, memory, position[j], R[j], size[j], a)
             if z is not None:  # noqa: SIM102 - Numba leaves it out where there is none
                 if a == 1 and one_sided(cut[j]):
-                    z[j, 1] += missing / 2 if cut[j] & _LEFT else -missing / 2
-                    R[j, 1, 1] += spread / 4
+                    z[j, 1] += missing / 2 if cut[j] & LEFT != 0 else -missing / 2
+                    R[j, 1, 1] += spread / 4 - (rules[16] * size[j, 1] ** 2 if spread > 0 else 0.0)
                     continue
             R[j, a, a] += rules[16] * missing**2
 
 
 @njit(cache=True, nogil=True)
 def one_sided(cut: int) -> bool:
-    """Return whether one side of the image cuts a segment, and the other does not."""
-    return bool((cut & _LEFT != 0) != (cut & _RIGHT != 0))
+    """Return whether one side of a segment is cut by the image or by something nearer, and the other is its own."""
+    return bool((cut & LEFT != 0) != (cut & RIGHT != 0))
 
 
-_LEFT, _RIGHT = int(Cut.LEFT), int(Cut.RIGHT)
+LEFT, RIGHT = int(Cut.LEFT | Cut.HIDDEN_LEFT), int(Cut.RIGHT | Cut.HIDDEN_RIGHT)
 
 
 @njit(cache=True, nogil=True)
@@ -494,14 +511,12 @@ def turning(T: float, w: float, F: Floats, dF: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _gate(
-    x: Floats, P: Floats, measured: tuple[Floats, Floats, float, Ints], gate: float, euclidean: float, cost: Floats
-) -> None:
+def _gate(x: Floats, P: Floats, measured: _Measured, gate: float, euclidean: float, cost: Floats) -> None:
     """Write the cost of each pairing; the box around the gate's ellipsoid settles it for most.
 
     euclidean: variance of each axis in place of the innovation covariance (eq 6.13), 0 for Mahalanobis' distance.
     """
-    z, R, time_variance, _ = measured
+    z, R, time_variance, _, wander = measured
     S, V = np.zeros((3, 3)), np.empty((3, 3))
     for i in range(cost.shape[0] if euclidean > 0 else 0):
         for j in range(cost.shape[1]):
@@ -514,11 +529,11 @@ def _gate(
         for j in range(cost.shape[1]):
             cost[i, j] = NO_PAIR
             for a in range(3):
-                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2
+                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2 + wander[i, a]
                 if not (z[j, a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:  # or not a number
                     break
             else:
-                _innovation_covariance(x[i], P[i], R[j], time_variance, S)
+                _innovation_covariance(x[i], P[i], R[j], time_variance, wander[i], S)
                 det = _invert(S, V)
                 d2 = _squared_distance(x[i], V, z[j])
                 if det > 0 and d2 <= gate:
@@ -526,11 +541,28 @@ def _gate(
 
 
 @njit(cache=True, nogil=True)
-def _innovation_covariance(x: Floats, P: Floats, R: Floats, time_variance: float, S: Floats) -> None:
+def wander(memory: Floats, share: float) -> Floats:
+    """Return the variances (N, 3) by which each track's centroid wanders as its outline changes, along each axis.
+
+    The ends of an outline that err on their own by s each move the middle by s / sqrt(2) and change the width by
+    s sqrt(2): the middle by half as much as the width. share: the square of that half.
+    """
+    variance = np.zeros((len(memory), 3))
+    for i in range(len(memory) if share > 0 else 0):
+        for a in range(2):
+            variance[i, a + 1] = share * math.exp(2 * memory[i, a]) * memory[i, _SPREAD + a]
+    return variance
+
+
+@njit(cache=True, nogil=True)
+def _innovation_covariance(
+    x: Floats, P: Floats, R: Floats, time_variance: float, wander: Floats, S: Floats
+) -> None:  # fmt: skip
     """Write S = H P H' + R; H picks x, y, z (E-K-21). A wrong time shifts a moving object along its way."""
     for a in range(3):
         for b in range(3):
             S[a, b] = P[3 * a, 3 * b] + R[a, b] + time_variance * x[3 * a + 1] * x[3 * b + 1]
+        S[a, a] += wander[a]
 
 
 @njit(cache=True, nogil=True)
@@ -580,28 +612,29 @@ def _update(
     covariance: Floats,
     took: Ints,
     weights: Floats | None,
-    measured: tuple[Floats, Floats, float, Ints],
+    measured: _Measured,
     nis: Floats,
 ) -> None:
     """Write the measurement update (fig 6.9) of every track that took a segment into its arrays, and its NIS.
 
     took (N,): index of the segment, -1 for none; weights (N, M): probability of each segment for the tracks that take
-    several; measured: positions, R, variance of the time, pixels.
+    several.
     """
     room = _room()
     for i in range(took.size):
         j, nis[i] = took[i], np.nan
         if weights is not None and _any(weights[i]):
-            _blend(state[i], covariance[i], weights[i], measured)
+            _blend(state[i], covariance[i], weights[i], measured, measured[4][i])
             continue
         if j >= 0:
-            squared, _ = _correct(state[i], covariance[i], measured[0][j], measured[1][j], measured[2], room)
+            z, R, wander = measured[0][j], measured[1][j], measured[4][i]
+            squared, _ = _correct(state[i], covariance[i], z, R, measured[2], wander, room)
             if measured[3][j] > 0:
                 nis[i] = squared
 
 
 @njit(cache=True, nogil=True)
-def _blend(x: Floats, P: Floats, weights: Floats, measured: tuple[Floats, Floats, float, Ints]) -> None:
+def _blend(x: Floats, P: Floats, weights: Floats, measured: _Measured, wander: Floats) -> None:
     """Update one track (9,), (9, 9) by several segments: mean and covariance of the mixture of their updates.
 
     Each segment has a covariance of its own, so there is no one gain as in Bar-Shalom's form of the update, with which
@@ -618,7 +651,7 @@ def _blend(x: Floats, P: Floats, weights: Floats, measured: tuple[Floats, Floats
             share[m] = weights[j]
             share[0] = max(share[0] - weights[j], 0.0)
             _copy(x, P, states[m], covariances[m])
-            _correct(states[m], covariances[m], measured[0][j], measured[1][j], measured[2], room)
+            _correct(states[m], covariances[m], measured[0][j], measured[1][j], measured[2], wander, room)
             m += 1
     _moments(share, states, covariances, x, P)
 
@@ -626,29 +659,35 @@ def _blend(x: Floats, P: Floats, weights: Floats, measured: tuple[Floats, Floats
 @njit(cache=True, nogil=True)
 def _room() -> _Room:
     """Return what `_correct` computes in: made once, because making it takes as long as an update."""
-    return np.empty((3, 3)), np.empty((3, 3)), np.empty((9, 3)), np.empty((9, 3))
+    return np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 9))
 
 
 @njit(cache=True, nogil=True)
-def _correct(x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float, room: _Room) -> tuple[float, float]:
+def _correct(
+    x: Floats, P: Floats, z: Floats, R: Floats, time_variance: float, wander: Floats, room: _Room
+) -> tuple[float, float]:
     """Update one state by one measurement in place; return the squared distance of the two and det S.
 
-    room: (3, 3), (3, 3), (9, 3), (9, 3) to compute in.
+    room: (3, 3), (3, 3), (3, 9) to compute in.
     """
-    S, V, W, K = room
-    _innovation_covariance(x, P, R, time_variance, S)
+    S, V, W = room
+    _innovation_covariance(x, P, R, time_variance, wander, S)
     determinant = _invert(S, V)
     squared = _squared_distance(x, V, z)
     u, v, w = z[0] - x[0], z[1] - x[3], z[2] - x[6]
+    for b in range(9):
+        W[0, b], W[1, b], W[2, b] = P[0, b], P[3, b], P[6, b]  # H P
     for a in range(9):
-        W[a, 0], W[a, 1], W[a, 2] = P[a, 0], P[a, 3], P[a, 6]  # P H'
-        for b in range(3):
-            K[a, b] = W[a, 0] * V[0, b] + W[a, 1] * V[1, b] + W[a, 2] * V[2, b]
+        p0, p1, p2 = W[0, a], W[1, a], W[2, a]
+        k0 = p0 * V[0, 0] + p1 * V[1, 0] + p2 * V[2, 0]
+        k1 = p0 * V[0, 1] + p1 * V[1, 1] + p2 * V[2, 1]
+        k2 = p0 * V[0, 2] + p1 * V[1, 2] + p2 * V[2, 2]
+        x[a] += k0 * u + k1 * v + k2 * w
+        for b in range(9):  # P - K S K', whole rows: so they are computed several at once
+            P[a, b] -= k0 * W[0, b] + k1 * W[1, b] + k2 * W[2, b]
     for a in range(9):
-        x[a] += K[a, 0] * u + K[a, 1] * v + K[a, 2] * w
-        for b in range(a, 9):  # P - K S K', symmetric by construction
-            P[a, b] -= K[a, 0] * W[b, 0] + K[a, 1] * W[b, 1] + K[a, 2] * W[b, 2]
-            P[b, a] = P[a, b]
+        for b in range(a):
+            P[a, b] = P[b, a]
     return squared, determinant
 
 

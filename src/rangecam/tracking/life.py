@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.tracking.filter import Seen, complete
+from rangecam.tracking.filter import ACROSS, LEFT, RIGHT, Seen, complete, wander
 from rangecam.tracking.living import GONE, left_over
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import first_memory, shapes
-from rangecam.types import CLASSES, Floats, Ints, Tracks, TrackStatus
+from rangecam.types import CLASSES, MEMORY, Floats, Ints, Tracks, TrackStatus
+
+_WIDTH, _WIDTH_VARIANCE, _PLACED = (MEMORY.index(n) for n in ("log_width", "log_width_variance", "placed_width"))
 
 
 def delete(tracks: Tracks) -> Tracks:
@@ -29,13 +31,17 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     R, first = np.empty_like(covariance), np.empty_like(label)
     complete(covariance, size, seen[10], rules, R)
     first = first[: left_over(took, position, covariance, size, first)]
-    position = position[first]
+    memory = first_memory(shapes(seen)[first], settings.shape_sigma)
+    position, R = _whole((position[first], R[first], size[first, 1], seen[10][first]), memory, settings)
     n, count = len(first), len(settings.motion.modes)
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))
     state[:, ::3] = position  # as `POSITION`, but a slice is quicker than a list
     P[:, range(9), range(9)] = (0.0, settings.speed_sigma_mps**2, settings.acceleration_sigma_mps2**2) * 3
     P[:, 6:] *= settings.motion.vertical_share**2
-    P[:, ::3, ::3] = R[first]
+    P[:, ::3, ::3] = R
+    P[:, range(0, 9, 3), range(0, 9, 3)] += wander(memory, settings.outline_sigma**2)
+    if settings.position_lasts_s > 0:
+        P[:, range(0, 9, 3), range(0, 9, 3)] += settings.position_sigma_m**2
     unknown[:, CLASSES.index("unknown")] = 1.0
     once = np.ones(n, int)
     status = TrackStatus.CONFIRMED if settings.confirm_hits == 1 else TrackStatus.TENTATIVE
@@ -57,10 +63,32 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
         mode_probability=np.full((n, count), 1 / max(count, 1)),
         mode_state=np.repeat(state[:, None], count, axis=1),
         mode_covariance=np.repeat(P[:, None], count, axis=1),
-        memory=first_memory(shapes(seen)[first], settings.shape_sigma),
+        memory=memory,
     )
     together = _map(lambda lived, born: np.concatenate((lived, born)), tracks, new)
     return replace(together, next_id=tracks.next_id + n)
+
+
+def _whole(
+    seen: tuple[Floats, Floats, Floats, Ints], memory: Floats, settings: TrackingSettings
+) -> tuple[Floats, Floats]:
+    """Return position (M, 3) and covariance of what is cut short and may be wider, as `filter.unseen` makes them.
+
+    seen: position, covariance, width and bits of `Cut`. Written, in `memory`: the widths.
+    """
+    position, R, width, cut = seen
+    missing = np.where(cut & ACROSS != 0, np.maximum(settings.cut_width_m - width, 0.0), 0.0)
+    if not missing.any():
+        return position, R
+    left, right = cut & LEFT != 0, cut & RIGHT != 0
+    cut_there, whole = missing > 0, width + missing
+    memory[cut_there, _WIDTH] = np.log(whole[cut_there])
+    memory[cut_there & (left != right), _PLACED] = whole[cut_there & (left != right)]
+    position, R = position.copy(), R.copy()
+    position[:, 1] += missing / 2 * (left.astype(float) - right)
+    one_sided = whole**2 * memory[:, _WIDTH_VARIANCE] / 4
+    R[:, 1, 1] += np.where(left != right, one_sided, settings.cut_sigma**2 * missing**2) * cut_there
+    return position, R
 
 
 def _map(function: Callable[..., Any], tracks: Tracks, *others: Tracks) -> Tracks:

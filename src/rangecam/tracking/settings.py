@@ -39,12 +39,21 @@ class TrackingSettings:
     """The same for their acceleration."""
     position_sigma_m: NonNegative = 0.01
     """Error of a measured position that does not average out, added to the measurement's own covariance."""
+    position_lasts_s: NonNegative = 0.0
+    """How long that error lasts: the correlation between two frames falls by e in this time. 0: each frame has its own.
+    What lasts is in the position of the track, with its uncertainty at the start, and moves it slowly."""
     extent_sigma: NonNegative = 0.05
     """Wander of the centroid over an extended object: standard deviation as a share of the object's size."""
+    outline_sigma: NonNegative = 0.0
+    """The same, across and up, as a share of how much the track's own width and height change from frame to frame:
+    1/2 where both ends of the outline err on their own. Large while something comes into sight, small once its outline
+    stands still."""
     cut_sigma: NonNegative = 0.29
     """The same, beside it, where the image's edge or something nearer cuts an object short: 1 over the root
     of 12 is that of missing anything, evenly, up to as much as is seen. Beside the image ends what is near first, so
     that the depth is cut as well."""
+    cut_width_m: NonNegative = 0.0
+    """How wide something is expected to be that is cut short when it is seen first, if it is not seen to be wider."""
     frame_time_sigma_s: NonNegative = 0.0
     """Jitter of the frames' time stamps; it blurs the position of a moving object along its way."""
     confirm_hits: PositiveInt = 3

@@ -303,6 +303,8 @@ def _constants(settings: TrackingSettings) -> Floats:
         "adapt_limit": motion.adapt_limit,
         "cut": settings.cut_sigma**2,
         "max_parts": settings.max_parts_frames,
+        "outline": settings.outline_sigma**2,
+        "lasts_s": settings.position_lasts_s,
     }
     return np.array([float(rules[name]) for name in RULES])
 
