@@ -66,7 +66,8 @@ def test_the_shares_of_a_single_pixel_are_all_or_nothing() -> None:
 
 
 def test_healths_with_their_images_are_not_compared() -> None:
-    assert judged(frame_of()) != judged(frame_of())
+    health = judged(frame_of())
+    assert health != replace(health)
 
 
 @pytest.mark.parametrize(("count", "faults"), [(30, ()), (31, (Fault.SATURATED,))])
@@ -311,6 +312,14 @@ def test_only_new_images_of_the_last_moments_are_kept_before_a_stop_and_all_of_i
     for time_s in (1.9, 3.0):
         friction = observe(friction, seen(time_s, 2.0, 8), 1.0, True, FRICTION)
     assert (friction.speed_mps, friction.before, len(friction.gaps)) == (2.0, 1, 3)
+
+
+def test_at_first_nothing_is_known_and_the_first_track_counts() -> None:
+    assert Friction() == Friction(0.0, math.inf, 0.0, 0, (), False, 0)
+    friction = observe(Friction(), seen(1.0, 3.0, 1), 2.0, False, FRICTION)
+    assert (friction.track_id, len(friction.gaps)) == (1, 1)
+    friction = observe(friction, seen(1.4, 2.2, 1), 2.0, False, replace(FRICTION, before_s=1.4 - 1.0))
+    assert len(friction.gaps) == 2
 
 
 @pytest.mark.parametrize(("limit", "known"), [({"min_images": 12}, True), ({"min_images": 13}, False)])
