@@ -21,7 +21,7 @@ from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR
 from rangecam.tracking.filter import take_only_candidates
 from rangecam.tracking.update import gate_threshold
-from rangecam.types import POSITION, VELOCITY, Refused, Segments, Tracks, TrackStatus
+from rangecam.types import POSITION, VELOCITY, Ego, Refused, Segments, Tracks, TrackStatus
 
 H = np.kron(np.eye(3), [1.0, 0.0, 0.0])
 PLAIN = TrackingSettings(position_sigma_m=0.0, extent_sigma=0.0)
@@ -689,3 +689,21 @@ def test_errors_are_as_small_as_published_and_the_covariance_owns_up_to_them(
     rmse = np.sqrt(np.mean(errors, axis=0))
     assert (rmse < limits).all(), rmse
     assert 0.6 < np.mean(nees) < 1.25
+
+
+def test_while_we_brake_tracks_follow_a_deceleration_that_nobody_has_told_them() -> None:
+    """A box ahead, seen within 2 mm, while we brake with 7 m/s2 from one frame to the next and then stand."""
+    worst = []
+    for allowed in (0.0, 3.0):
+        settings = dataclasses.replace(
+            PLAIN, position_sigma_m=0.002, extent_sigma=0.0, own_braking_mps2=allowed, gate_probability=1.0
+        )
+        tracks, gap_m, speed_mps, nis = Tracks.empty(), 5.0, 3.0, []
+        for k in range(60):
+            ego = Ego(k / 30, braking=k >= 30)
+            tracks = update_tracks(tracks, seen([(gap_m, 0.0, 0.5)], 1e-6), k / 30, settings, ego)
+            slower_mps = max(speed_mps - 7.0 / 30, 0.0) if k >= 30 else speed_mps
+            gap_m, speed_mps = gap_m - (speed_mps + slower_mps) / 60, slower_mps
+            nis.append(float(tracks.nis[0]))
+        worst.append(max(nis[20:]))
+    assert worst[0] > gate_threshold(0.95) > 2 * worst[1]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rangecam.types import Ego, Floats, Tracks
+from rangecam.types import ACCELERATION, Ego, Floats, Tracks
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
@@ -56,6 +56,14 @@ def carried(tracks: Tracks, ego: Ego, dt_s: float, rear_axle_m: float) -> tuple[
         mode_state=moved(tracks.mode_state),
         mode_covariance=turn @ tracks.mode_covariance @ turn.T,
     ), own1
+
+
+def braked(tracks: Tracks, variance: float) -> Tracks:
+    """Return the tracks with so much more variance (m2/s4) of the acceleration along our way: ours has changed."""
+    covariance, modes = tracks.covariance.copy(), tracks.mode_covariance.copy()
+    for each in (covariance, modes):
+        each[..., ACCELERATION[0], ACCELERATION[0]] += variance
+    return replace(tracks, covariance=covariance, mode_covariance=modes)
 
 
 def _motion(ego: Ego) -> tuple[float, float]:

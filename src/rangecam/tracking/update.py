@@ -17,7 +17,7 @@ from rangecam.tracking.groups import Grouped, regroup
 from rangecam.tracking.joint import marginals
 from rangecam.tracking.life import delete, initiate
 from rangecam.tracking.living import live
-from rangecam.tracking.own_motion import carried
+from rangecam.tracking.own_motion import braked, carried
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import memory_of, pair_shapes, shapes
 from rangecam.types import MEMORY, Ego, Floats, Ints, Refused, Segments, Tracks
@@ -68,6 +68,8 @@ def update_tracks(
     seen, own = _seen_in(segments), _STANDING
     if settings.frame == "ground":
         tracks, own = carried(tracks, ego, dt_s, settings.rear_axle_m)
+    if ego.braking and settings.own_braking_mps2 > 0:
+        tracks = braked(tracks, settings.own_braking_mps2**2 * dt_s / 0.1)
     state = int(refused), time_s, dt_s, ego
     follow = _follow_modes if settings.motion.modes else _follow
     tracks, seen, took, ended, left = follow(tracks, seen, own, state, settings)
