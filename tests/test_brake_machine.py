@@ -461,6 +461,8 @@ def test_a_machine_that_has_not_begun_has_seen_and_heard_nothing_and_asks_for_no
     assert (state.wheels_s, state.standing_s) == (math.inf, math.inf)
     assert (state.number, state.good_images, state.speed_mps) == (0, 0, 0.0)
     assert (state.perception.received_s, state.perception.time_s, state.car.received_s) == (-math.inf,) * 3
+    seen = state.perception
+    assert (seen.track_id, seen.distance_m, seen.closing_mps) == (0, math.inf, 0.0)
     assert Request(0.0, 0, Action.NONE).brake == 0.0
 
 
