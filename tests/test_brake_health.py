@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rangecam.brake.friction import Friction, FrictionSettings, cautious, observe
+from rangecam.brake.friction import Friction, FrictionSettings, after_stop, cautious, observe
 from rangecam.brake.health import Health, HealthSettings, judge, perceived
 from rangecam.brake.machine import Fault, Perception
 from rangecam.types import Collisions, Decision, Frame, RangeImage, RawFrame, Segments, Tracks, TrackStatus, Why
@@ -320,6 +320,19 @@ def test_at_first_nothing_is_known_and_the_first_track_counts() -> None:
     assert (friction.track_id, len(friction.gaps)) == (1, 1)
     friction = observe(friction, seen(1.4, 2.2, 1), 2.0, False, replace(FRICTION, before_s=1.4 - 1.0))
     assert len(friction.gaps) == 2
+
+
+def test_a_stop_in_which_the_object_changes_goes_on_without_one_and_without_a_stop_nothing_is_concluded() -> None:
+    friction = Friction()
+    for k in range(90):  # 3 m/s, from 1 s on 3 m/s2 less: it stands at 2 s
+        time_s = k / 30
+        braked_s = min(max(time_s - 1, 0.0), 1.0)
+        gap_m = 9.0 - 3.0 * min(time_s, 1.0) - 3.0 * braked_s + 1.5 * braked_s**2
+        friction = observe(friction, seen(time_s, gap_m), 3.0 if time_s < 1 else 0.0, time_s >= 1, FRICTION)
+    assert after_stop(friction, FRICTION).mu == pytest.approx(3.0 / 9.81, rel=1e-4)
+    assert after_stop(replace(friction, braking=False), FRICTION).mu == 0.0
+    friction = observe(friction, seen(3.1, 2.0, 1), 0.0, True, FRICTION)
+    assert (friction.track_id, friction.gaps) == (0, ())
 
 
 @pytest.mark.parametrize(("limit", "known"), [({"min_images": 12}, True), ({"min_images": 13}, False)])

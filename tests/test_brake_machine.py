@@ -461,6 +461,7 @@ def test_a_machine_that_has_not_begun_has_seen_and_heard_nothing_and_asks_for_no
     assert (state.wheels_s, state.standing_s) == (math.inf, math.inf)
     assert (state.number, state.good_images, state.speed_mps) == (0, 0, 0.0)
     assert (state.perception.received_s, state.perception.time_s, state.car.received_s) == (-math.inf,) * 3
+    assert (state.cause.since_s, state.cause.time_s) == (-math.inf, -math.inf)
     seen = state.perception
     assert (seen.track_id, seen.distance_m, seen.closing_mps) == (0, math.inf, 0.0)
     assert Request(0.0, 0, Action.NONE).brake == 0.0
@@ -496,6 +497,16 @@ def test_somebody_who_walks_up_to_a_standing_car_holds_it_for_some_seconds_only(
     modes = drive.steps(200, speed_mps=0.0, track_id=3, closing_mps=1.0)
     stands_s = 1.0 + TICK_S + SETTINGS.standstill_time_s
     assert modes.index(Mode.USER_CONTROL) == pytest.approx(stands_s / TICK_S + 0.25 / 4.0 / TICK_S, abs=2)
+
+
+def test_the_cause_of_a_fault_is_affirmed_by_every_step_until_it_is_over() -> None:
+    drive = Drive()
+    drive.steps(7, image=False)
+    drive.steps(2)
+    drive.step(image=False)
+    cause = drive.request.cause
+    assert cause is not None
+    assert (drive.state.mode, cause.time_s) == (Mode.FAULT, drive.now * TICK_S)
 
 
 def test_of_two_car_states_that_arrived_at_once_the_first_counts() -> None:
