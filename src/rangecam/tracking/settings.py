@@ -56,7 +56,7 @@ class TrackingSettings:
     """How wide something is expected to be that is cut short when it is seen first, if it is not seen to be wider."""
     own_braking_mps2: NonNegative = 0.0
     """While we brake for an object (`Ego.braking`) our deceleration begins, rises and ends within frames, and wheels
-    that lock tell nothing of it: standard deviation of its change in a tenth of a second."""
+    that lock tell nothing of it: standard deviation of its change in a tenth of a second. For the frame vehicle."""
     frame_time_sigma_s: NonNegative = 0.0
     """Jitter of the frames' time stamps; it blurs the position of a moving object along its way."""
     confirm_hits: PositiveInt = 3
