@@ -314,6 +314,13 @@ def test_only_new_images_of_the_last_moments_are_kept_before_a_stop_and_all_of_i
     assert (friction.speed_mps, friction.before, len(friction.gaps)) == (2.0, 1, 3)
 
 
+def test_of_a_stop_that_does_not_end_no_more_than_so_many_images_are_kept() -> None:
+    friction = Friction()
+    for k in range(700):
+        friction = observe(friction, seen(k / 30, 3.0), 2.0, k > 3, FRICTION)
+    assert len(friction.gaps) == 600
+
+
 def test_at_first_nothing_is_known_and_the_first_track_counts() -> None:
     assert Friction() == Friction(0.0, math.inf, 0.0, 0, (), False, 0)
     friction = observe(Friction(), seen(1.0, 3.0, 1), 2.0, False, FRICTION)

@@ -90,10 +90,14 @@ def observe(friction: Friction, seen: Perception, speed_mps: float, braking: boo
     return friction if braking or speed_mps == friction.speed_mps else changed(friction, speed_mps=speed_mps)
 
 
+_MOST_GAPS = 600  # of a stop that does not end, the memory does
+
+
 def _looked(friction: Friction, seen: Perception, speed_mps: float, s: FrictionSettings) -> Friction:
     """Return the gaps with that of a new image: of the same object, else from it on; none begins during a stop."""
     old = bool(friction.gaps) and seen.time_s <= friction.gaps[-1].time_s
-    if seen.track_id == 0 or old or not math.isfinite(seen.distance_m):
+    full = len(friction.gaps) >= _MOST_GAPS
+    if seen.track_id == 0 or old or full or not math.isfinite(seen.distance_m):
         return friction
     gap = Gap(seen.time_s, seen.distance_m, speed_mps)
     if friction.braking:
