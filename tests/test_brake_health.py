@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import curve_fit
 
-from rangecam.brake.friction import Friction, FrictionSettings, after_stop, cautious, observe
+from rangecam.brake.friction import Friction, FrictionSettings, Gap, after_stop, cautious, observe
 from rangecam.brake.health import Health, HealthSettings, judge, perceived
 from rangecam.brake.machine import Fault, Perception
 from rangecam.types import Collisions, Decision, Frame, RangeImage, RawFrame, Segments, Tracks, TrackStatus, Why
@@ -261,6 +262,43 @@ def test_its_sigma_is_that_of_many_stops() -> None:
 def test_free_ways_scatter_at_least_as_they_are_told() -> None:
     sharp, coarse = (stopped(0.5, s=replace(FRICTION, model=0.0, distance_sigma_m=each)) for each in (0.01, 0.02))
     assert coarse.sigma == pytest.approx(2 * sharp.sigma, rel=1e-4)
+
+
+def stop_of(times_s: list[float], noise_m: float = 0.0, before_mps: float = 2.0) -> Friction:
+    """A stop from 2 m/s with 2 m/s2 that bites at 1 s, under way; before it we drove with `before_mps`."""
+    rng = np.random.default_rng(3)
+    gaps = []
+    for time_s in times_s:
+        since_s = min(time_s - 1, 1.0)
+        gap_m = 4.0 - 2.0 * since_s + max(since_s, 0.0) ** 2 + rng.normal(0, noise_m)
+        gaps.append(Gap(time_s, gap_m, before_mps if time_s < 1 else 0.0))
+    return Friction(speed_mps=2.0, track_id=7, gaps=tuple(gaps), braking=True, before=sum(t < 1 for t in times_s))
+
+
+def test_the_sigma_of_a_stop_is_that_of_a_general_fit_of_the_same_curve() -> None:
+    def way(time_s: Any, a: float, bites_s: float, bites_m: float) -> Any:
+        since_s = np.minimum(time_s - bites_s, 2.0 / a)
+        return bites_m - 2.0 * since_s + a * np.maximum(since_s, 0) ** 2 / 2
+
+    stop = stop_of(np.arange(0.6, 2.4, 1 / 30).tolist(), noise_m=0.02)
+    time_s, gap_m, _ = np.array(stop.gaps).T
+    best, covariance = curve_fit(way, time_s, gap_m, p0=(2.0, 1.0, 4.0))
+    found = after_stop(stop, replace(FRICTION, model=0.0))
+    assert found.mu == pytest.approx(best[0] / 9.81, rel=1e-5)
+    assert found.sigma == pytest.approx(math.sqrt(covariance[0, 0]) / 9.81, rel=1e-3)
+
+
+def test_two_images_before_the_brakes_bite_and_six_until_standstill_are_enough_and_no_fewer() -> None:
+    early, between = [0.8, 0.9], [1.1, 1.2, 1.4, 1.5, 1.7, 1.8]
+    assert after_stop(stop_of(early + between), FRICTION).mu == pytest.approx(2.0 / 9.81, rel=1e-4)
+    for times_s in (early[1:] + between, early + between[1:], [0.7, *early, *between[1:]], [0.9, *between, 1.9]):
+        assert after_stop(stop_of(times_s), FRICTION).mu == 0.0, times_s
+
+
+def test_our_speed_may_have_changed_before_the_braking_by_its_limit_and_no_more() -> None:
+    stop = stop_of([0.8, 0.9, 1.1, 1.2, 1.4, 1.5, 1.7, 1.8], before_mps=2.5)
+    assert after_stop(stop, replace(FRICTION, steady=0.25)).mu > 0
+    assert after_stop(stop, replace(FRICTION, steady=0.2)).mu == 0.0
 
 
 def test_two_stops_are_weighted_with_the_change_between_them() -> None:

@@ -3,9 +3,9 @@
 Wheels that lock say nothing of the speed over ground; the free way d to what stands in front does. With the speed v0
 before the brakes bite at t0, and then the deceleration a = mu g until standstill at t0 + v0 / a,
 
-    d(t) = d1 + v0^2 / (2 a) - v0 (t - t0) + a (t - t0)^2 / 2     between the two, a straight line before, d1 afterwards
+    d(t) = d0 - v0 (t - t0) + a (t - t0)^2 / 2     between the two, a straight line before, constant afterwards
 
-is fitted to a, t0 and d1. A stop that looks otherwise says nothing: the object moved, or the ground changed.
+is fitted to a, t0 and d0. A stop that looks otherwise says nothing: the object moved, or the ground changed.
 """
 
 import math
@@ -122,23 +122,23 @@ def after_stop(friction: Friction, s: FrictionSettings) -> Friction:
 def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:
     """Return mu of a stop and its variance, None where it says nothing."""
     v0 = stop.speed_mps
-    if not v0 >= s.min_speed_mps or len(stop.gaps) < 2 * s.min_images:
+    if not v0 >= s.min_speed_mps or len(stop.gaps) < _EARLY + s.min_images:
         return None
     from scipy.optimize import least_squares
 
     time_s, gap_m, speed_mps = np.array(stop.gaps).T
     if not np.abs(speed_mps[: stop.before] - v0).max(initial=0.0) <= s.steady * v0:
         return None
-    braked_m = max(gap_m[0] - gap_m[-1] - v0 * s.before_s, 0.1)
-    start = (v0**2 / (2 * braked_m), time_s[0] + s.before_s, gap_m[-1])
-    fit = least_squares(_misfit, start, x_scale=(1.0, 0.1, 0.1), args=(time_s, gap_m, v0))
+    starts = [(a, time_s[0] + s.before_s, gap_m[0]) for a in _STARTS_MPS2]
+    fits = [least_squares(_misfit, start, method="lm", args=(time_s, gap_m, v0)) for start in starts]
+    fit = min(fits, key=lambda each: each.cost)
     a, bites_s, _ = fit.x
-    scatter_m = math.sqrt(2 * fit.cost / (len(time_s) - len(fit.x)))
+    scatter_m = math.sqrt(fit.fun @ fit.fun / (len(time_s) - len(fit.x)))
     if not (a > 0 and scatter_m <= s.max_misfit_m):
         return None
     early = time_s < bites_s
-    between = np.count_nonzero(~early & (time_s < bites_s + v0 / a))
-    if np.count_nonzero(early) < 2 or between < s.min_images:
+    between = ~early & (time_s < bites_s + v0 / a)
+    if early.sum() < _EARLY or between.sum() < s.min_images:
         return None
     closing_mps = -np.polyfit(time_s[early], gap_m[early], 1)[0]
     if not abs(closing_mps - v0) <= s.standing * v0:
@@ -149,12 +149,15 @@ def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:
     return mu, spread / GRAVITY_MPS2**2 + (s.model * mu) ** 2
 
 
+_STARTS_MPS2 = 0.5, 2.0, 8.0  # from one alone the fit may end beside the best
+_EARLY = 2  # images before the brakes bite, at least: they tell whether the object stands
+
+
 def _misfit(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Floats:
-    """Return free ways of the model less those seen, (N,), for a (kept above zero), t0 and d1 (the equation above)."""
-    a, bites_s, end_m = max(float(parameters[0]), 1e-3), *parameters[1:]
+    """Return free ways of the model less those seen, (N,), for a (kept above zero), t0 and d0 (the equation above)."""
+    a, bites_s, bites_m = max(float(parameters[0]), 1e-3), *parameters[1:]
     since_s = np.minimum(time_s - bites_s, v0 / a)
-    bent_m = np.where(since_s > 0, a * since_s**2 / 2, 0.0)
-    return np.asarray(end_m + v0**2 / (2 * a) - v0 * since_s + bent_m - gap_m)
+    return np.asarray(bites_m - v0 * since_s + a * np.maximum(since_s, 0.0) ** 2 / 2 - gap_m)
 
 
 def cautious(friction: Friction, s: FrictionSettings) -> float | None:
