@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rangecam.brake import DecisionSettings, decide
-from rangecam.brake.decision import closing_speed
+from rangecam.brake.decision import _reason, _threat, closing_speed
 from rangecam.brake.rule import (
     RULES,
     Threat,
@@ -22,7 +22,7 @@ from rangecam.brake.rule import (
     needed_deceleration,
     stopping_distance,
 )
-from rangecam.collision import CorridorSettings
+from rangecam.collision import CorridorSettings, InPath
 from rangecam.tracking import TrackingSettings, update_tracks
 from rangecam.types import MEMORY, Decision, Ego, Segments, Tracks, TrackStatus
 
@@ -75,6 +75,31 @@ def decided(*rows: dict[str, float], ego: Ego | None = None, **settings: typing.
 def test_braking_distances_of_the_thesis_on_asphalt(kmh: float, way_m: float) -> None:
     settings = DecisionSettings(friction=0.7, reaction_time_s=0.0)
     assert stopping_distance(kmh / 3.6, 0.0, settings) == pytest.approx(way_m, abs=5e-4)
+
+
+def in_path(**changed: float) -> InPath:
+    """A track in the path, 2 m ahead, that comes closer at 1 m/s."""
+    usual = dict.fromkeys(InPath._fields, 0.0) | {"distance_m": 2.0, "speed_x_mps": -1.0, "hits": 9.0, "age": 9.0}
+    return InPath(**{**usual, **changed})
+
+
+def test_the_rules_are_told_how_a_track_closes_in_and_how_hard_it_surely_brakes() -> None:
+    settings = DecisionSettings(deceleration_mps2=3.0, speed_sigmas=2.0)
+    threat = _threat(in_path(covariance=0.01, distance_sigma_m=0.1, speed_sigma_mps=0.2), None, settings)
+    assert threat == Threat(2.0, 1.0, 0.0, 1.0, 0.1, 0.2, -0.01, 0.0, 0.0, 9.0, 9.0)
+    for acceleration, sigma, certain in ((-2.0, 0.5, 1.0), (-9.0, 0.5, 3.0), (-1.0, 0.5, 0.0), (2.0, 0.0, 0.0)):
+        brakes = {"acceleration_mps2": acceleration, "acceleration_sigma_mps2": sigma}
+        assert _threat(in_path(**brakes), None, settings).braking_mps2 == certain
+        assert _threat(in_path(speed_x_mps=0.0, **brakes), None, settings).braking_mps2 == 0.0
+
+
+def test_a_reason_says_what_speaks_against_braking_only_where_there_is_too_little_way() -> None:
+    settings = DecisionSettings(deceleration_mps2=2.0, reaction_time_s=0.5, margin=1.5, min_speed_mps=0.5)
+    few, enough = "but it is seen with 0 pixels only", Threat(3.0, 2.0, 800.0)
+    for distance_m, told in ((3.0, False), (2.9, True)):  # stopping from 2 m/s takes 2 m
+        assert (few in _reason("box", Threat(distance_m, 2.0, 0.0), 2.0, 2.0, True, settings)) is told
+    for own_mps, slow in ((0.5, True), (0.6, False)):
+        assert ("but we are slow" in _reason("box", enough, 3.0, own_mps, True, settings)) is slow
 
 
 @pytest.mark.parametrize(

@@ -194,6 +194,15 @@ def test_the_machine_is_told_what_it_needs_of_an_image() -> None:
     assert perceived(blocked, judged(blocked)).faults == (Fault.BLOCKED,)
 
 
+def test_the_machine_is_told_the_free_way_to_what_was_decided_on_and_of_nothing_that_it_is_far() -> None:
+    frame = frame_of()
+    decided = replace(frame.decision, track_id=4, distance_m=1.5, closing_speed_mps=0.7)
+    some = perceived(replace(frame, decision=decided), judged(frame))
+    assert (some.track_id, some.distance_m, some.closing_mps) == (4, 1.5, 0.7)
+    none = perceived(replace(frame, decision=replace(decided, track_id=0)), judged(frame))
+    assert (none.track_id, none.distance_m, none.closing_mps) == (0, math.inf, 0.0)
+
+
 def test_a_scene_has_a_speed_only_with_three_confirmed_tracks() -> None:
     for frame in (frame_of(closing_mps=(1.0, 2.0)), frame_of(closing_mps=(1.0,) * 3, status=TrackStatus.TENTATIVE)):
         assert perceived(frame, judged(frame)).scene_speed_mps is None

@@ -73,7 +73,7 @@ def judge(frame: Frame, received_s: float, before: Health | None, settings: Heal
     why, range_m = np.ascontiguousarray(frame.image.why), np.ascontiguousarray(frame.image.range_m)
     measured = np.empty(why.shape, np.bool_)
     near_m = range_m.dtype.type(settings.near_m)
-    counts = _count(why.reshape(-1), range_m.reshape(-1), near_m, _IS_MEASURED, measured.reshape(-1))
+    counts = _count(why.ravel(), range_m.ravel(), near_m, _IS_MEASURED, measured.ravel())
     n_measured, n_saturated, n_near = counts
     pixels = max(1, why.size)
     seen, saturated, near = n_measured / pixels, n_saturated / pixels, n_near / pixels
