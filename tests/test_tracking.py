@@ -20,7 +20,7 @@ from rangecam.studies.tracking_models import tracking_models
 from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR
 from rangecam.tracking.filter import take_only_candidates
-from rangecam.tracking.update import gate_threshold
+from rangecam.tracking.rules import gate_threshold
 from rangecam.types import POSITION, VELOCITY, Ego, Refused, Segments, Tracks, TrackStatus
 
 H = np.kron(np.eye(3), [1.0, 0.0, 0.0])

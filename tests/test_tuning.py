@@ -19,7 +19,7 @@ from rangecam.cli.tune import _describe
 from rangecam.errors import DataError, UsageError
 from rangecam.motion import MOTION, Mode, MotionSettings
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.tracking.update import gate_threshold
+from rangecam.tracking.rules import gate_threshold
 from rangecam.tuning import (
     Paths,
     follow,
