@@ -36,7 +36,14 @@ def between(poses: list[Pose], start_s: float, step_s: float) -> Callable[[float
             x, y = known.x_m + way * math.cos(known.heading_rad), known.y_m + way * math.sin(known.heading_rad)
             return Pose(x, y, known.heading_rad, known.speed_mps, 0.0)
         share, one, other = at - k, poses[k], poses[k + 1]
-        return Pose(*[a + share * (b - a) for a, b in zip(one, other, strict=True)])
+        (x, y, heading, speed, yaw), (x1, y1, heading1, speed1, yaw1) = one, other
+        return Pose(
+            x + share * (x1 - x),
+            y + share * (y1 - y),
+            heading + share * (heading1 - heading),
+            speed + share * (speed1 - speed),
+            yaw + share * (yaw1 - yaw),
+        )
 
     return own
 
