@@ -16,14 +16,14 @@ def kernel(function: F) -> F:
     given those of what it imports in turn.
     """
     made: Any = njit(cache=True, nogil=True)(function)
-    others = {id(each): each for each in function.__globals__.values() if hasattr(each, "py_func")}
-    stamps = {repr(_stamped(each)._source_stamp) for each in others.values() if each.__module__ != function.__module__}
-    if stamps and hasattr(made, "py_func"):  # not where Numba is told to leave functions as they are
-        _stamped(made)._source_stamp = (_stamped(made)._source_stamp, *sorted(stamps))
+    others = [each for each in function.__globals__.values() if hasattr(each, "py_func")]
+    marks = {repr(_index(each)._source_stamp) for each in others if each.__module__ != function.__module__}
+    if marks:
+        _index(made)._source_stamp = (_index(made)._source_stamp, *sorted(marks))
     compiled: F = made
     return compiled
 
 
-def _stamped(dispatcher: Any) -> Any:
-    """Return the index of a dispatcher's cache; Numba has no public way to it."""
+def _index(dispatcher: Any) -> Any:
+    """Return the index of a dispatcher's cache on disk, to which Numba has no public way."""
     return dispatcher._cache._cache_file
