@@ -5,7 +5,6 @@ Nothing here knows a camera family: samples are compared plane by plane, and wha
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from rangecam.brake.machine import Fault, Perception
 from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
 from rangecam.types import VELOCITY, Frame, RawFrame, TrackStatus, Why
+from rangecam.values import value
 
 _MEASURED = [Why.VALID, Why.FLOOR, Why.OUTSIDE_AREA]
 """Pixels that measured something: what does not belong to an object shows as well that the lens is clear."""
@@ -47,7 +47,7 @@ class HealthSettings:
     """... if this share of the pixels sees it."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Health:
     """What was found of one image, and what the judgement of the next needs.
 
@@ -114,9 +114,19 @@ def _unchanged(raw: RawFrame, before: RawFrame, measured: NDArray[np.bool_], n_m
         old = before.planes.get(name)
         if name.startswith(_CONSTANT) or old is None or not plane.shape == old.shape == measured.shape:
             continue
-        equal += int(np.count_nonzero((plane == old) & measured))
+        equal += _equal(plane, old, measured)
         total += n_measured
     return equal / total if total else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _equal(plane: Any, old: Any, measured: Any) -> Any:
+    """Return how many samples of measured pixels are what they were."""
+    n_equal = 0
+    for row in range(measured.shape[0]):
+        for column in range(measured.shape[1]):
+            n_equal += measured[row, column] and plane[row, column] == old[row, column]
+    return n_equal
 
 
 def perceived(frame: Frame, health: Health) -> Perception:

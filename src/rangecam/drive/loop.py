@@ -78,7 +78,7 @@ def drive(
         if _over(time_s, scenario, settings, car, log):
             break
         to_mind, to_unit = _through_bus(status, sent, time_s, settings.faults)
-        slippery = active(settings.faults, time_s, "slippery")
+        slippery = active(settings.faults, time_s, "slippery") if settings.faults else None
         car = move(car, command, dt, vehicle, Road(settings.friction if slippery is None else slippery.value))
         if k % _LOOK_EVERY == 0:
             car = discharged(car, vehicle, _LOOK_EVERY * dt)
@@ -109,7 +109,7 @@ def _through_bus(
 
 def _reported(car: VehicleState, time_s: float, faults: Sequence[Fault], log: "_Log") -> VehicleState:
     """Return the vehicle as its sensors see it: with a stuck one, as if the wheels turned as they did before."""
-    if not active(faults, time_s, "speed_stuck"):
+    if not (faults and active(faults, time_s, "speed_stuck")):
         log.period_s = float(car.motion[PERIOD_S])
         return car
     motion = car.motion.copy()
