@@ -29,9 +29,15 @@ def value(cls: type[T]) -> type[T]:
 
 @dataclass_transform(frozen_default=True)
 def record(cls: type[T]) -> type[T]:
-    """Make `cls` a frozen dataclass that compares by its fields, none of which is an array, cheap to make."""
-    made: type[T] = _quickly_made(dataclass(frozen=True)(cls))
-    return made
+    """Make `cls` a frozen dataclass that compares by its fields, none of which is an array, cheap to make.
+
+    One that is asked whether it is itself, as every step asks of what has not changed, does not look at its fields.
+    """
+    made: Any = _quickly_made(dataclass(frozen=True)(cls))
+    by_fields = made.__eq__
+    made.__eq__ = lambda self, other: True if self is other else by_fields(self, other)
+    finished: type[T] = made
+    return finished
 
 
 def _quickly_made(made: Any) -> Any:

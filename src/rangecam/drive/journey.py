@@ -67,8 +67,10 @@ def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Veh
     lets_go: the driver leaves throttle and brake alone, and steers.
     """
     times, speeds, ways, curvatures = _course(scenario.ego, scenario.duration_s)
-    curvature = _interpolated(float(state.motion[WAY]), ways, curvatures) if curvatures else 0.0
-    steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
+    steer = 0.0
+    if curvatures:
+        curvature = _interpolated(float(state.motion[WAY]), ways, curvatures)
+        steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
     if lets_go:
         return Hand(0.0, steer, True)
     wanted = _interpolated(time_s, times, speeds)

@@ -47,7 +47,7 @@ def drive(
     them. It ends with a contact, at standstill after a take-over, or when the scenario does. sinks: get each frame that
     was perceived, as of `pipeline.run`; captures then carry the truth.
     """
-    dt, vehicle = settings.step_s, settings.vehicle
+    dt, vehicle, road = settings.step_s, settings.vehicle, Road(settings.friction)
     start_s = -settings.run_in_s
     car, unit = starting(scenario, settings, start_s), UnitState()
     poses: list[Pose] = [pose_of(car)]
@@ -79,7 +79,7 @@ def drive(
             break
         to_mind, to_unit = _through_bus(status, sent, time_s, settings.faults)
         slippery = active(settings.faults, time_s, "slippery") if settings.faults else None
-        car = move(car, command, dt, vehicle, Road(settings.friction if slippery is None else slippery.value))
+        car = move(car, command, dt, vehicle, road if slippery is None else Road(slippery.value))
         if k % _LOOK_EVERY == 0:
             car = discharged(car, vehicle, _LOOK_EVERY * dt)
         poses.append(pose_of(car))
