@@ -40,7 +40,7 @@ def seen(positions: object, covariance: object = 0.01, **fields: object) -> Segm
         "near_m": z[:, 0] - 0.2,
         "n_pixels": np.full(n, 30),
         "box": np.zeros((n, 4), int),
-        "range_m": z[:, 0],
+        "range_m": z[:, 0].copy(),
         "sigma_range_m": np.full(n, 0.1),
         "amplitude": np.ones(n),
         "cut": np.zeros(n, np.uint8),

@@ -42,7 +42,7 @@ def seen(
         range_m=np.linalg.norm(z, axis=1),
         sigma_range_m=np.full(n, 0.05),
         amplitude=np.full(n, 10.0),
-        cut=np.broadcast_to(np.asarray(cut, np.uint8), n),
+        cut=np.broadcast_to(np.asarray(cut, np.uint8), n).copy(),
         nearest_m=z,
     )
 
