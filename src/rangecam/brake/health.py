@@ -114,19 +114,9 @@ def _unchanged(raw: RawFrame, before: RawFrame, measured: NDArray[np.bool_], n_m
         old = before.planes.get(name)
         if name.startswith(_CONSTANT) or old is None or not plane.shape == old.shape == measured.shape:
             continue
-        equal += _equal(plane, old, measured)
+        equal += int(np.count_nonzero((plane == old) & measured))
         total += n_measured
     return equal / total if total else 0.0
-
-
-@njit(cache=True, nogil=True)
-def _equal(plane: Any, old: Any, measured: Any) -> Any:
-    """Return how many samples of measured pixels are what they were."""
-    n_equal = 0
-    for row in range(measured.shape[0]):
-        for column in range(measured.shape[1]):
-            n_equal += measured[row, column] and plane[row, column] == old[row, column]
-    return n_equal
 
 
 def perceived(frame: Frame, health: Health) -> Perception:
