@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rangecam.tracking.filter import Seen
+from rangecam.tracking.rules import Seen
 from rangecam.tracking.shape import SHAPE_SPREAD
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 

@@ -23,7 +23,7 @@ from rangecam.scene.render import RayBundle, ray_bundle, render
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject
 from rangecam.types import Floats
-from rangecam.values import changed, value
+from rangecam.values import changed, record, value
 
 LENS = Lens(horizontal_fov_deg=80.0, vertical_fov_deg=60.0, projection="equiangular")
 ORIGIN = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -225,3 +225,24 @@ def test_a_changed_copy_leaves_its_original_and_its_other_fields() -> None:
 def test_a_field_that_there_is_not_cannot_be_changed() -> None:
     with pytest.raises(TypeError, match="Two has no three"):
         changed(Two(1), three=3)
+
+
+@record
+class Pair:
+    """Two numbers that compare."""
+
+    one: float
+    two: float = 2.0
+
+
+def test_records_are_equal_by_their_fields_and_always_to_themselves() -> None:
+    assert Pair(1.0) == Pair(1.0, 2.0)
+    assert hash(Pair(1.0)) == hash(Pair(1.0, 2.0))
+    assert Pair(1.0) != Pair(3.0)
+    assert Pair(1.0) != (1.0, 2.0)
+    nothing = Pair(math.nan)
+    assert nothing == nothing
+
+
+def test_values_are_equal_to_nothing_but_themselves() -> None:
+    assert Two(1) != Two(1)

@@ -20,7 +20,7 @@ from rangecam.studies.tracking_models import tracking_models
 from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR
 from rangecam.tracking.filter import take_only_candidates
-from rangecam.tracking.update import gate_threshold
+from rangecam.tracking.rules import gate_threshold
 from rangecam.types import POSITION, VELOCITY, Ego, Refused, Segments, Tracks, TrackStatus
 
 H = np.kron(np.eye(3), [1.0, 0.0, 0.0])
@@ -40,7 +40,7 @@ def seen(positions: object, covariance: object = 0.01, **fields: object) -> Segm
         "near_m": z[:, 0] - 0.2,
         "n_pixels": np.full(n, 30),
         "box": np.zeros((n, 4), int),
-        "range_m": z[:, 0],
+        "range_m": z[:, 0].copy(),
         "sigma_range_m": np.full(n, 0.1),
         "amplitude": np.ones(n),
         "cut": np.zeros(n, np.uint8),

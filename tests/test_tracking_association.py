@@ -14,8 +14,8 @@ from rangecam.collision import CorridorSettings
 from rangecam.motion import MOTION, Mode, MotionSettings
 from rangecam.tracking import ASSOCIATION, TrackingSettings, update_tracks
 from rangecam.tracking.association import NO_PAIR, priorities
-from rangecam.tracking.filter import turning
 from rangecam.tracking.joint import by_belief_propagation, marginals, of_cluster
+from rangecam.tracking.moving import turning
 from rangecam.tracking.shape import first_memory, pair_shapes, shapes
 from rangecam.tracking.update import _seen_in
 from rangecam.types import CLASSES, MEMORY, Cut, Ego, Segments, Tracks, TrackStatus
@@ -42,7 +42,7 @@ def seen(
         range_m=np.linalg.norm(z, axis=1),
         sigma_range_m=np.full(n, 0.05),
         amplitude=np.full(n, 10.0),
-        cut=np.broadcast_to(np.asarray(cut, np.uint8), n),
+        cut=np.broadcast_to(np.asarray(cut, np.uint8), n).copy(),
         nearest_m=z,
     )
 

@@ -19,7 +19,7 @@ from rangecam.cli.tune import _describe
 from rangecam.errors import DataError, UsageError
 from rangecam.motion import MOTION, Mode, MotionSettings
 from rangecam.tracking import TrackingSettings, update_tracks
-from rangecam.tracking.update import gate_threshold
+from rangecam.tracking.rules import gate_threshold
 from rangecam.tuning import (
     Paths,
     follow,
@@ -52,7 +52,7 @@ def segments(position_m: Any, size_m: float = 0.0) -> Segments:
         position_m=place,
         covariance_m2=covariance,
         size_m=np.full((n, 3), size_m),
-        near_m=place[:, 0],
+        near_m=place[:, 0].copy(),
         n_pixels=np.ones(n, int),
         box=np.zeros((n, 4), int),
         range_m=zero,

@@ -161,7 +161,7 @@ def coordinated_turn(dt_s: float, settings: Mode) -> Floats:
 
     At a constant turn rate w and speed, da/dt = -w^2 v on both horizontal axes (Li and Jilkov 2003, part I, V.B), to
     which the white jerk adds; so the axes stay alike. The state holds w = (v x a) / v^2: the tracker puts it
-    in for each track and linearises about it (`tracking.filter.turning`). At w = 0, and on the vertical axis,
+    in for each track and linearises about it (`tracking.moving.turning`). At w = 0, and on the vertical axis,
     this is `constant_acceleration`; its Q differs from that of the turn by less than (w dt)^2 / 2 of itself.
     """
     return constant_acceleration(dt_s, settings)
@@ -188,8 +188,14 @@ def mode_switching(dt_s: float, count: int, memory_s: float) -> Floats:
     """
     if count == 1:
         return np.ones((1, 1))
-    kept = math.exp(-dt_s / memory_s * count / (count - 1))
     switching = np.empty((count, count))
-    switching.fill((1 - kept) / count)
-    switching.ravel()[:: count + 1] += kept
+    _switching(math.exp(-dt_s / memory_s * count / (count - 1)), switching)
     return switching
+
+
+@njit(cache=True, nogil=True)
+def _switching(kept: float, switching: Floats) -> None:
+    count = len(switching)
+    for j in range(count):
+        for k in range(count):
+            switching[j, k] = (1 - kept) / count + (kept if j == k else 0.0)

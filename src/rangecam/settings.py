@@ -31,8 +31,8 @@ def settings(cls: type[T]) -> type[T]:
 
     def once(self: Any) -> int:
         try:
-            known: int = self.__dict__["_hash"]
-        except KeyError:
+            known: int = self._hash
+        except AttributeError:
             known = self.__dict__["_hash"] = of_fields(self)
         return known
 

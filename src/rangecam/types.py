@@ -12,14 +12,14 @@ Collections (`Segments`, `Tracks`, `Collisions`) are structs of arrays, one row 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import IntEnum, IntFlag
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rangecam.values import value
+from rangecam.values import record, value
 
 Image = NDArray[Any]
 """An array of shape (H, W)."""
@@ -300,7 +300,7 @@ class Track:
         return "" if self.action_probability is None else ACTIONS[int(np.argmax(self.action_probability))]
 
 
-@dataclass(frozen=True)
+@record
 class Ego:
     """The own vehicle at one moment. speed_mps is None where nobody measures it; forward is False in reverse gear.
 

@@ -9,7 +9,6 @@ is fitted to a, t0 and d0. A stop that looks otherwise says nothing: the object 
 """
 
 import math
-from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from rangecam.brake.machine import Perception
 from rangecam.brake.settings import GRAVITY_MPS2
 from rangecam.settings import NonNegative, Positive, settings
 from rangecam.types import Floats
-from rangecam.values import changed
+from rangecam.values import changed, record
 
 
 @settings
@@ -59,7 +58,7 @@ class Gap(NamedTuple):
     speed_mps: float
 
 
-@dataclass(frozen=True)
+@record
 class Friction:
     """What is known of the friction after all stops so far (0 and inf before the first), and the stop under way.
 

@@ -12,7 +12,7 @@ from enum import StrEnum
 from rangecam.brake.machine import Action, Request
 from rangecam.can.layout import BRAKE_MODE, GIVE_BACK_DATA, MAGIC, MASTER_ID, VALUE_PER_UNIT
 from rangecam.settings import Positive, settings
-from rangecam.values import changed
+from rangecam.values import changed, record
 
 
 class Refusal(StrEnum):
@@ -46,7 +46,7 @@ class Gate:
     refused: Mapping[Refusal, int] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@record
 class CanFrame:
     """One frame for the bus: 11 bit identifier and up to 8 bytes."""
 

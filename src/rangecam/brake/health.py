@@ -5,7 +5,6 @@ Nothing here knows a camera family: samples are compared plane by plane, and wha
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from rangecam.brake.machine import Fault, Perception
 from rangecam.settings import Fraction, NonNegative, Positive, PositiveInt, settings
 from rangecam.types import VELOCITY, Frame, RawFrame, TrackStatus, Why
+from rangecam.values import value
 
 _MEASURED = [Why.VALID, Why.FLOOR, Why.OUTSIDE_AREA]
 """Pixels that measured something: what does not belong to an object shows as well that the lens is clear."""
@@ -47,7 +47,7 @@ class HealthSettings:
     """... if this share of the pixels sees it."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Health:
     """What was found of one image, and what the judgement of the next needs.
 

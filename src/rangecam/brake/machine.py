@@ -9,14 +9,13 @@ new image, every new car state and at least every 20 ms: the timeouts are exact 
 """
 
 import math
-from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Annotated
 
 from annotated_types import Interval
 
 from rangecam.settings import NonNegative, Positive, PositiveInt, settings
-from rangecam.values import changed
+from rangecam.values import changed, record
 
 
 class Mode(IntEnum):
@@ -90,7 +89,7 @@ class MachineSettings:
     """A scene that comes closer faster than this contradicts a car state that says standstill."""
 
 
-@dataclass(frozen=True)
+@record
 class Perception:
     """The newest result of perception.
 
@@ -113,7 +112,7 @@ class Perception:
     closing_mps: float = 0.0
 
 
-@dataclass(frozen=True)
+@record
 class CarState:
     """The newest state of the car: speed >= 0 by the wheels, direction, arrival on the decision unit's clock."""
 
@@ -122,7 +121,7 @@ class CarState:
     forward: bool = True
 
 
-@dataclass(frozen=True)
+@record
 class Inputs:
     """What the machine sees at `time_s` (monotonic clock of the decision unit): the newest of each, None before it."""
 
@@ -131,7 +130,7 @@ class Inputs:
     car: CarState | None = None
 
 
-@dataclass(frozen=True)
+@record
 class Cause:
     """Why to brake: a fault, or (None) an object; since when, and when this was last affirmed by evidence."""
 
@@ -141,7 +140,7 @@ class Cause:
     time_s: float
 
 
-@dataclass(frozen=True)
+@record
 class Request:
     """What the machine asks for: number counts the calls, brake is the share of full braking, cause says why."""
 
@@ -156,7 +155,7 @@ NOTHING_SEEN = Perception(-1, -math.inf, -math.inf, brake=False, reason="")
 NOTHING_HEARD = CarState(0.0, -math.inf)
 
 
-@dataclass(frozen=True)
+@record
 class BrakeState:
     """The memory of the machine. It starts as a fault, which ends as every fault does.
 

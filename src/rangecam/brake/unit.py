@@ -1,13 +1,12 @@
 """The decision unit: machine, gate and friction in one step. What calls it owns the clock and the bus."""
 
-from dataclasses import dataclass
-
 from rangecam.brake.friction import Friction, FrictionSettings, observe
 from rangecam.brake.gate import CanFrame, Gate, GateSettings, let_pass
 from rangecam.brake.health import HealthSettings
 from rangecam.brake.machine import BrakeState, Inputs, MachineSettings, Mode, Request, advance
 from rangecam.errors import UsageError
 from rangecam.settings import settings
+from rangecam.values import record
 
 
 @settings
@@ -28,7 +27,7 @@ class BrakeSettings:
             )
 
 
-@dataclass(frozen=True)
+@record
 class Unit:
     """The memory of the decision unit. It starts with a closed gate (`gate.arm` opens it) and as a fault."""
 

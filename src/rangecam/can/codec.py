@@ -13,6 +13,7 @@ from typing import Any
 
 from rangecam.can.layout import BRAKE_MODE, GIVE_BACK_DATA, MAGIC, MASTER_ID
 from rangecam.errors import DataError
+from rangecam.values import record
 
 
 class DriveMode(IntEnum):
@@ -49,7 +50,7 @@ class CodecError(DataError):
         self.reason = reason
 
 
-@dataclass(frozen=True)
+@record
 class CarStatus1:
     """0xA0, table A.2. speed_mps: of the wheels, without direction. power_w: 65.535 means that or more (E-S-31)."""
 
@@ -59,7 +60,7 @@ class CarStatus1:
     speed_mps: float
 
 
-@dataclass(frozen=True)
+@record
 class CarStatus2:
     """0xA1, table A.3: motor voltage and five temperatures."""
 
@@ -71,7 +72,7 @@ class CarStatus2:
     temperature_5_c: float
 
 
-@dataclass(frozen=True)
+@record
 class RemoteValues:
     """0xDB, table A.4: what the driver's remote says, each -1..1.
 
@@ -83,7 +84,7 @@ class RemoteValues:
     direction: float
 
 
-@dataclass(frozen=True)
+@record
 class TakeOver:
     """0x50 with the magic number, table A.5: the car obeys this and no longer the remote. Values are shares 0..1."""
 

@@ -30,17 +30,16 @@ def actions(tracks: Tracks, ego: Ego, moving_mps: float) -> Floats:
     which it does so. Where nobody measures the own speed, velocities are taken relative to us.
     """
     probability = np.empty((tracks.status.size, len(ACTIONS)))
-    own = own_velocity(ego)
-    own[np.isnan(own)] = 0.0
-    _actions(tracks.state, tracks.covariance, own, moving_mps, _POINTS, probability)
+    _actions(tracks.state, tracks.covariance, own_velocity(ego), moving_mps, _POINTS, probability)
     return probability
 
 
 @njit(cache=True, nogil=True)
 def _actions(state: Any, covariance: Any, own: Any, moving_mps: Any, points: Any, probability: Any) -> None:
     along, across = _SLANTED
+    own_x, own_y = (own[0], own[1]) if own[0] == own[0] else (0.0, 0.0)  # not a number: nobody measures it
     for i in range(len(state)):
-        vx, vy = state[i, 1] + own[0], state[i, 4] + own[1]
+        vx, vy = state[i, 1] + own_x, state[i, 4] + own_y
         # Cholesky factor of the covariance of the velocity
         l00 = math.sqrt(max(covariance[i, 1, 1], 1e-12))
         l10 = covariance[i, 4, 1] / l00

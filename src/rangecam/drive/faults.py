@@ -47,7 +47,7 @@ _IMAGE_FAULTS = ("frozen", "repeated")
 
 def kept(capture: Capture, held: Capture, faults: Sequence[Fault]) -> Capture:
     """Return what a frozen or repeating camera goes on showing: `held` while it does, else the new frame."""
-    wrong = any(active(faults, capture.raw.time_s, kind) for kind in _IMAGE_FAULTS)
+    wrong = faults and any(active(faults, capture.raw.time_s, kind) for kind in _IMAGE_FAULTS)
     return held if wrong else capture
 
 

@@ -36,7 +36,14 @@ def between(poses: list[Pose], start_s: float, step_s: float) -> Callable[[float
             x, y = known.x_m + way * math.cos(known.heading_rad), known.y_m + way * math.sin(known.heading_rad)
             return Pose(x, y, known.heading_rad, known.speed_mps, 0.0)
         share, one, other = at - k, poses[k], poses[k + 1]
-        return Pose(*[a + share * (b - a) for a, b in zip(one, other, strict=True)])
+        (x, y, heading, speed, yaw), (x1, y1, heading1, speed1, yaw1) = one, other
+        return Pose(
+            x + share * (x1 - x),
+            y + share * (y1 - y),
+            heading + share * (heading1 - heading),
+            speed + share * (speed1 - speed),
+            yaw + share * (yaw1 - yaw),
+        )
 
     return own
 
@@ -60,8 +67,10 @@ def hand_of(scenario: Scenario, time_s: float, state: VehicleState, vehicle: Veh
     lets_go: the driver leaves throttle and brake alone, and steers.
     """
     times, speeds, ways, curvatures = _course(scenario.ego, scenario.duration_s)
-    curvature = _interpolated(float(state.motion[WAY]), ways, curvatures) if curvatures else 0.0
-    steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
+    steer = 0.0
+    if curvatures:
+        curvature = _interpolated(float(state.motion[WAY]), ways, curvatures)
+        steer = math.degrees(math.atan(curvature * vehicle.wheelbase_m)) / vehicle.max_steer_deg
     if lets_go:
         return Hand(0.0, steer, True)
     wanted = _interpolated(time_s, times, speeds)

@@ -47,7 +47,7 @@ def drive(
     them. It ends with a contact, at standstill after a take-over, or when the scenario does. sinks: get each frame that
     was perceived, as of `pipeline.run`; captures then carry the truth.
     """
-    dt, vehicle = settings.step_s, settings.vehicle
+    dt, vehicle, road = settings.step_s, settings.vehicle, Road(settings.friction)
     start_s = -settings.run_in_s
     car, unit = starting(scenario, settings, start_s), UnitState()
     poses: list[Pose] = [pose_of(car)]
@@ -78,8 +78,8 @@ def drive(
         if _over(time_s, scenario, settings, car, log):
             break
         to_mind, to_unit = _through_bus(status, sent, time_s, settings.faults)
-        slippery = active(settings.faults, time_s, "slippery")
-        car = move(car, command, dt, vehicle, Road(settings.friction if slippery is None else slippery.value))
+        slippery = active(settings.faults, time_s, "slippery") if settings.faults else None
+        car = move(car, command, dt, vehicle, road if slippery is None else Road(slippery.value))
         if k % _LOOK_EVERY == 0:
             car = discharged(car, vehicle, _LOOK_EVERY * dt)
         poses.append(pose_of(car))
@@ -109,7 +109,7 @@ def _through_bus(
 
 def _reported(car: VehicleState, time_s: float, faults: Sequence[Fault], log: "_Log") -> VehicleState:
     """Return the vehicle as its sensors see it: with a stuck one, as if the wheels turned as they did before."""
-    if not active(faults, time_s, "speed_stuck"):
+    if not (faults and active(faults, time_s, "speed_stuck")):
         log.period_s = float(car.motion[PERIOD_S])
         return car
     motion = car.motion.copy()

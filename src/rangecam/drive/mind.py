@@ -4,6 +4,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 from rangecam.brake.friction import cautious
 from rangecam.brake.gate import CanFrame, Gate, arm, disarm
@@ -21,6 +22,7 @@ from rangecam.values import changed
 from rangecam.vehicle.sensors import gain_of_wheels, step_of_sensor
 
 
+@lru_cache(maxsize=16)
 def brake_settings(config: Config, settings: DriveSettings, friction: float | None = None) -> BrakeSettings:
     """Return the brake's settings for this camera and vehicle, and the friction that stops have shown, if they have.
 

@@ -53,9 +53,9 @@ def _shutter_planes(
     taken, apart_s = exposures(camera), window_step_s(camera)
     volts, count = responsivity(camera.pixel), len(taken)
     shape, jitter_s = (count, camera.rows, camera.columns), camera.laser.trigger_jitter_s
-    light_jpm2, ambient_wpm2 = np.empty(shape), np.empty(shape)
+    light_jpm2, ambient_wpm2 = np.empty((2, *shape))
     slope_wpm2 = np.zeros(shape if differ(camera) else 0)
-    widths_s = tuple([window[1] - window[0] for window, _ in taken.values()])
+    widths_s, open_s = _open_s(camera)
     for i, (window, delay_s) in enumerate(taken.values()):
         seen = _look(view, time_s + (i - (count - 1) / 2) * apart_s, camera)
         light_jpm2[i] = laser_exposure(seen, window, delay_s, camera)
@@ -65,14 +65,21 @@ def _shutter_planes(
         ambient_wpm2[i] = ambient_irradiance(seen, camera)
     single_v = volts * electrical(light_jpm2, camera.crosstalk)  # eq 4.13
     ambient_vps = volts * ambient_wpm2
-    ambient_v = ambient_vps * np.array(widths_s)[:, None, None]
+    ambient_v = ambient_vps * open_s
     if differ(camera):
         slope_vps = volts * electrical(slope_wpm2, camera.crosstalk)
         single_v = mean_of_pulses(single_v, slope_vps, ambient_v, camera, rng)
     offset_v = offsets(shape, widths_s, camera.temperature_c, camera.pixel)
     values_v, n_acc = adapt(read_out(single_v, ambient_v, offset_v, camera.pixel, camera.averages, rng), camera.pixel)
-    planes = {name: values_v[i].astype(np.float32) for i, name in enumerate(taken)}
-    return planes | {"n_acc": n_acc, "ambient": (ambient_vps.sum(axis=0) / count).astype(np.float32)}
+    planes: dict[str, Any] = dict(zip(taken, values_v.astype(np.float32), strict=True))
+    return planes | {"n_acc": n_acc, "ambient": (np.add.reduce(ambient_vps) / count).astype(np.float32)}
+
+
+@lru_cache(maxsize=8)
+def _open_s(camera: PulsedCamera) -> tuple[tuple[float, ...], Floats]:
+    """Return how long the shutter of each plane is open, as numbers and to multiply images (S, H, W) with."""
+    widths_s = tuple([window[1] - window[0] for window, _ in exposures(camera).values()])
+    return widths_s, np.array(widths_s)[:, None, None]
 
 
 def _tap_planes(
@@ -123,18 +130,15 @@ def laser_exposure(view: View, window: Window, delay_s: float, camera: PulsedCam
     met: tuple[Floats, ...] = (view.range_m, view.reflectivity, view.cos_incidence)
     if not met[0].dtype == met[1].dtype == met[2].dtype:
         met = tuple(each.astype(np.result_type(*met)) for each in met)
-    range_m, reflectivity, cos_incidence = (np.ascontiguousarray(each) for each in met)
+    range_m, reflectivity, cos_incidence = map(np.ascontiguousarray, met)
     delays_s, collected_s = correlation_curve(window, camera)
     apart, seconds_per_metre = camera.crosstalk.blur, 2 / camera.speed_of_light_mps
-    light = np.zeros(range_m.shape if apart else (1, *range_m.shape[1:]))
+    light = np.empty(range_m.shape if apart else (1, *range_m.shape[1:]))
     rays = range_m, reflectivity, cos_incidence
     darkest = _expose(*rays, laser, delays_s, collected_s, delay_s, seconds_per_metre, light)
     if darkest < 0:
         raise DataError(f"view with a reflectivity of {darkest:g}: it must be 0 or more")
-    if apart:
-        return optical(light, view.range_m * cos_axis, camera)
-    light /= len(range_m)
-    return optical(light, light, camera)
+    return optical(light, view.range_m * cos_axis if apart else light, camera)
 
 
 @njit(cache=True, nogil=True)
@@ -149,12 +153,13 @@ def _expose(
     seconds_per_metre: Any,
     light: Any,
 ) -> Any:
-    """Add the exposure by each ray (K, H, W), or by all of a pixel together (1, H, W), to zeros.
+    """Write the exposure by each ray (K, H, W), or the mean over all of a pixel (1, H, W).
 
     Between the points of the correlation it is interpolated. Return the smallest reflectivity, inf without a ray.
     """
     (count, rows, columns), layers = range_m.shape, len(light)
-    last, darkest = len(delays_s) - 1, np.inf
+    light[:] = 0.0
+    last, darkest, i = len(delays_s) - 1, np.inf, 1
     for k in range(count):
         for r in range(rows):
             for c in range(columns):
@@ -162,11 +167,18 @@ def _expose(
                 away_m = max(np.float64(range_m[k, r, c]), _NEAREST_M)
                 at_s = delay_s + seconds_per_metre * away_m
                 if delays_s[0] < at_s < delays_s[last]:
-                    i = np.searchsorted(delays_s, at_s)
+                    if not delays_s[i - 1] < at_s <= delays_s[i]:  # not where the pixel before was
+                        low, i = 0, last
+                        while i - low > 1:
+                            middle = (low + i) // 2
+                            low, i = (middle, i) if delays_s[middle] < at_s else (low, middle)
                     part = (at_s - delays_s[i - 1]) / (delays_s[i] - delays_s[i - 1])
                     met_s = collected_s[i - 1] + part * (collected_s[i] - collected_s[i - 1])
                     bright = laser[r, c] * np.float64(reflectivity[k, r, c]) * np.float64(cos_incidence[k, r, c])
                     light[min(k, layers - 1), r, c] += bright / away_m**2 * met_s
+    for r in range(rows if count > layers else 0):
+        for c in range(columns):
+            light[0, r, c] /= count
     return darkest
 
 

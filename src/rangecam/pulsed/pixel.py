@@ -125,9 +125,10 @@ def read_out(
         steps,
         damped,
         numbers,
+        step_v(pixel),
         values_v.reshape(flat),
     )
-    return convert(values_v, pixel)
+    return values_v
 
 
 @lru_cache(maxsize=16)
@@ -148,9 +149,10 @@ def _read_out(
     steps: Any,
     damped: Any,
     settings: Any,
+    step: Any,
     values_v: Any,
 ) -> Any:
-    """Fill the values (A, K, S, P) before they are converted, inf for a pixel that one exposure fills."""
+    """Fill the values (A, K, S, P), the full scale for a pixel that one exposure fills."""
     sensor_v2, readout_v, per_photon, full_v = settings
     averages, count, windows, pixels = values_v.shape
     noise_v, before_v2 = np.empty(pixels), np.empty(pixels)
@@ -166,7 +168,8 @@ def _read_out(
                     noise_v[i] += np.sqrt(max(so_far_v2 - before_v2[i], 0.0)) * deviates[0, a, k, s, i]
                     before_v2[i] = so_far_v2
                     value_v = d * (n * mean_v + noise_v[i] + readout_v * deviates[1, a, k, s, i]) + offset_v[k, s, i]
-                    values_v[a, k, s, i] = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
+                    value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
+                    values_v[a, k, s, i] = _converted(value_v, full_v, step)
 
 
 def adapt(values_v: Floats, pixel: Pixel) -> tuple[Floats, NDArray[np.uint8]]:
@@ -197,21 +200,23 @@ def _numbers(pixel: Pixel) -> NDArray[np.uint8]:
 @njit(cache=True, nogil=True)
 def _adapt(values_v: Any, steps: Any, full_v: Any, chosen_v: Any, n_acc: Any) -> Any:
     averages, count, windows, pixels = values_v.shape
+    best, full = np.zeros(pixels, np.int64), np.empty(pixels, np.bool_)
+    for k in range(count):  # whole rows of pixels, several at once
+        full[:] = False
+        for a in range(averages):
+            for s in range(windows):
+                for i in range(pixels):
+                    full[i] |= values_v[a, k, s, i] >= full_v
+        for i in range(pixels):
+            best[i] = best[i] if full[i] else k
     for i in range(pixels):
-        k, full = count, True
-        while full and k > 0:
-            k -= 1
-            full = False
-            for a in range(averages):
-                for s in range(windows):
-                    full |= values_v[a, k, s, i] >= full_v
-        n_acc[i] = steps[k]
+        n_acc[i] = steps[best[i]]
         for s in range(windows):
-            total_v, full = 0.0, False
+            total_v, filled = 0.0, False
             for a in range(averages):
-                total_v += values_v[a, k, s, i]
-                full |= values_v[a, k, s, i] >= full_v
-            chosen_v[s, i] = full_v if full else total_v / averages
+                total_v += values_v[a, best[i], s, i]
+                filled |= values_v[a, best[i], s, i] >= full_v
+            chosen_v[s, i] = full_v if filled else total_v / averages
 
 
 def convert(value_v: Floats, pixel: Pixel) -> Floats:
@@ -224,5 +229,10 @@ def convert(value_v: Floats, pixel: Pixel) -> Floats:
 @njit(cache=True, nogil=True)
 def _convert(value_v: Any, full_v: Any, step: Any, converted: Any) -> Any:
     for i in range(value_v.size):
-        rounded_v = np.rint(value_v[i] / step) * step if step > 0 else value_v[i]
-        converted[i] = full_v if value_v[i] >= full_v - step / 2 else rounded_v
+        converted[i] = _converted(value_v[i], full_v, step)
+
+
+@njit(cache=True, nogil=True)
+def _converted(value_v: Any, full_v: Any, step: Any) -> Any:
+    rounded_v = np.rint(value_v / step) * step if step > 0 else value_v
+    return full_v if value_v >= full_v - step / 2 else rounded_v

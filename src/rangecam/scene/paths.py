@@ -76,13 +76,22 @@ def motion(path: Path, time_s: float) -> Motion:
     return Motion(np.array(position_m), np.array(velocity_mps), np.array([2 * a + t * 6 * b for _, _, a, b in axes]))
 
 
+def place(path: Path, time_s: float) -> Vector:
+    """Return position m at `time_s`, as `place_and_velocity` does, for what asks for nothing else."""
+    return _place(*_piece(path, time_s))
+
+
+def _place(t: float, axes: "tuple[Cubic, Cubic, Cubic]") -> Vector:
+    (x, vx, ax, bx), (y, vy, ay, by), (z, vz, az, bz) = axes
+    return x + t * (vx + t * (ax + t * bx)), y + t * (vy + t * (ay + t * by)), z + t * (vz + t * (az + t * bz))
+
+
 def place_and_velocity(path: Path, time_s: float) -> tuple[Vector, Vector]:
     """Return position m and velocity m/s at `time_s`, as `motion` does, as plain numbers for what asks often."""
-    t, ((x, vx, ax, bx), (y, vy, ay, by), (z, vz, az, bz)) = _piece(path, time_s)
-    return (
-        (x + t * (vx + t * (ax + t * bx)), y + t * (vy + t * (ay + t * by)), z + t * (vz + t * (az + t * bz))),
-        (vx + t * (2 * ax + t * 3 * bx), vy + t * (2 * ay + t * 3 * by), vz + t * (2 * az + t * 3 * bz)),
-    )
+    t, axes = _piece(path, time_s)
+    (_, vx, ax, bx), (_, vy, ay, by), (_, vz, az, bz) = axes
+    velocity_mps = vx + t * (2 * ax + t * 3 * bx), vy + t * (2 * ay + t * 3 * by), vz + t * (2 * az + t * 3 * bz)
+    return _place(t, axes), velocity_mps
 
 
 Cubic = tuple[float, float, float, float]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from rangecam.scene.bodies import BODIES, shapes_of
-from rangecam.scene.paths import Pose, direction_rad, place_and_velocity, stands, travelled_m
+from rangecam.scene.paths import Pose, direction_rad, place, place_and_velocity, stands, travelled_m
 from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject, Swing
 from rangecam.types import Floats, Ints
 
@@ -60,8 +60,10 @@ def _known(
 
 def _now(thing: SceneObject, time_s: float, swings: bool) -> tuple[float, float, float, float, float, float]:
     """Return x, y, z, heading, phase of the stride and how far it swings, 0..1."""
-    (x, y, z), velocity_mps = place_and_velocity(thing.path, time_s)
     heading = math.radians(thing.heading_deg)
+    if not (swings or thing.follow_path):
+        return *place(thing.path, time_s), heading, 0.0, 0.0
+    (x, y, z), velocity_mps = place_and_velocity(thing.path, time_s)
     if thing.follow_path:
         heading += direction_rad(thing.path, time_s)
     if not swings:

@@ -147,8 +147,8 @@ def _cast_rays(
     shapes, balls = placed(scenario.objects, time_s, pose, bundle.origin_m, scenario.ground_reflectivity)
     # rays keep one number of what they hit: its reflectivity, or which shape it is
     mark = np.arange(1, len(shapes) + 1) if numbered else shapes[:, 9]
-    range_m, marked, cos_incidence = (np.empty(bundle.shape, np.float32) for _ in range(3))
-    seen = range_m.reshape(-1), marked.reshape(-1), cos_incidence.reshape(-1)
+    seen = np.empty((3, math.prod(bundle.shape)), np.float32)
+    range_m, marked, cos_incidence = seen.reshape(3, *bundle.shape)
     _cast(bundle.directions, bundle.place, bundle.cones, bundle.runs, shapes, mark.astype(np.float32), balls, *seen)
     if not numbered:
         return range_m, marked, cos_incidence, np.empty(0, np.int32)

@@ -1,5 +1,7 @@
 """Region growing: neighbours of similar range belong to one object."""
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 
@@ -14,14 +16,17 @@ def region_growing(image: RangeImage, points: Floats, settings: SegmentSettings)
     neighbours of its pixels, first come first looked at, as long as |range - mean range| stays below a threshold
     (König 2008, 6.3; the mean runs as in eq 6.11). Labels 1..N in the order of the scan. The points are not needed.
     """
-    height, width = image.shape
-    row = width + 2
-    steps = np.array((1, row, -1, -row, row + 1, row - 1, -row - 1, -row + 1)[: settings.connectivity], np.int32)
-    labels = np.empty((height, width), np.int32)
+    steps, labels = _steps(image.shape[1] + 2, settings.connectivity), np.empty(image.shape, np.int32)
     range_m, sigma_m = (np.ascontiguousarray(plane, np.float32) for plane in (image.range_m, image.sigma_m))
     thresholds = settings.growing_threshold_m, settings.growing_threshold_sigmas, settings.growing_step_m
     _grow((range_m, sigma_m, np.ascontiguousarray(image.why)), steps, thresholds, settings.min_pixels, labels)
     return labels
+
+
+@lru_cache(maxsize=16)
+def _steps(row: int, connectivity: int) -> Ints:
+    """Return how far the neighbours of a pixel are in a flat image with rows of this length."""
+    return np.array((1, row, -1, -row, row + 1, row - 1, -row - 1, -row + 1)[:connectivity], np.int32)
 
 
 @njit(cache=True, nogil=True)

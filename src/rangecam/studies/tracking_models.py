@@ -134,9 +134,9 @@ def side_by_side(position_m: Floats, covariance_m2: Floats) -> Segments:
     return Segments(
         label=np.arange(1, n + 1),
         position_m=position_m,
-        covariance_m2=covariance_m2,
+        covariance_m2=np.ascontiguousarray(covariance_m2),  # the tracker is compiled for each layout of its arrays
         size_m=np.zeros((n, 3)),
-        near_m=position_m[:, 0],
+        near_m=position_m[:, 0].copy(),
         n_pixels=np.ones(n, int),
         box=np.zeros((n, 4), int),
         range_m=np.zeros(n),

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rangecam.tracking.filter import Seen
 from rangecam.tracking.grouping import Shown, State, hold, search
+from rangecam.tracking.rules import Seen
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.types import MEMORY, Floats, Ints, Tracks
 

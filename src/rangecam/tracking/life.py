@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.tracking.filter import ACROSS, LEFT, RIGHT, Seen, complete, wander
-from rangecam.tracking.living import GONE, left_over
+from rangecam.tracking.living import left_over
+from rangecam.tracking.rules import GONE, Seen
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import first_memory, shapes
+from rangecam.tracking.sighting import ACROSS, LEFT, RIGHT, complete, wander, widen
 from rangecam.types import CLASSES, MEMORY, Floats, Ints, Tracks, TrackStatus
 
 _WIDTH, _WIDTH_VARIANCE, _PLACED = (MEMORY.index(n) for n in ("log_width", "log_width_variance", "placed_width"))
@@ -25,14 +26,17 @@ def delete(tracks: Tracks) -> Tracks:
 def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: TrackingSettings) -> Tracks:
     """Return the tracks, and a new one for each finite segment that none took: at rest until seen to move.
 
-    took (N',): index of the segment of each track before any ended; rules: `filter.RULES`.
+    took (N',): index of the segment of each track before any ended; rules: `RULES`.
     """
     label, position, covariance, size, near, n_pixels = seen[:6]
     R, first = np.empty_like(covariance), np.empty_like(label)
     complete(covariance, size, seen[10], rules, R)
     first = first[: left_over(took, position, covariance, size, first)]
     memory = first_memory(shapes(seen)[first], settings.shape_sigma)
-    position, R = _whole((position[first], R[first], size[first, 1], seen[10][first]), memory, settings)
+    position, R, width, cut = position[first], R[first], size[first, 1], seen[10][first]
+    missing = _missing(width, cut, memory, settings.cut_width_m)
+    if missing.any():
+        widen(position, R, width, cut, missing, memory[:, _WIDTH_VARIANCE], settings.cut_sigma**2)
     n, count = len(first), len(settings.motion.modes)
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))
     state[:, ::3] = position  # as `POSITION`, but a slice is quicker than a list
@@ -69,26 +73,15 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     return replace(together, next_id=tracks.next_id + n)
 
 
-def _whole(
-    seen: tuple[Floats, Floats, Floats, Ints], memory: Floats, settings: TrackingSettings
-) -> tuple[Floats, Floats]:
-    """Return position (M, 3) and covariance of what is cut short and may be wider, as `filter.unseen` makes them.
-
-    seen: position, covariance, width and bits of `Cut`. Written, in `memory`: the widths.
-    """
-    position, R, width, cut = seen
-    missing = np.where(cut & ACROSS != 0, np.maximum(settings.cut_width_m - width, 0.0), 0.0)
-    if not missing.any():
-        return position, R
-    left, right = cut & LEFT != 0, cut & RIGHT != 0
-    cut_there, whole = missing > 0, width + missing
-    memory[cut_there, _WIDTH] = np.log(whole[cut_there])
-    memory[cut_there & (left != right), _PLACED] = whole[cut_there & (left != right)]
-    position, R = position.copy(), R.copy()
-    position[:, 1] += missing / 2 * (left.astype(float) - right)
-    one_sided = whole**2 * memory[:, _WIDTH_VARIANCE] / 4
-    R[:, 1, 1] += np.where(left != right, one_sided, settings.cut_sigma**2 * missing**2) * cut_there
-    return position, R
+def _missing(width: Floats, cut: Ints, memory: Floats, expected_m: float) -> Floats:
+    """Return how much wider (M,) than seen what is cut short is expected to be; the widths in `memory` become those."""
+    missing = np.where(cut & ACROSS != 0, np.maximum(expected_m - width, 0.0), 0.0)
+    wider = missing > 0
+    if wider.any():
+        whole, one_sided = width + missing, (cut & LEFT != 0) != (cut & RIGHT != 0)
+        memory[wider, _WIDTH] = np.log(whole[wider])
+        memory[wider & one_sided, _PLACED] = whole[wider & one_sided]
+    return missing
 
 
 def _map(function: Callable[..., Any], tracks: Tracks, *others: Tracks) -> Tracks:

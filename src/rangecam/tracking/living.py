@@ -6,72 +6,59 @@ One kernel for one motion model and for several: it knows states only by their v
 import math
 
 import numpy as np
-from numba import njit
 
-from rangecam.tracking.filter import ACROSS, UP, largest, one_sided
+from rangecam.compiled import kernel
+from rangecam.tracking.filter import largest
+from rangecam.tracking.rules import GONE
+from rangecam.tracking.sighting import ACROSS, UP, one_sided
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
-GONE = -1
-"""In the place of a status: the track ends with this frame."""
 _RELIABILITY, _NOISE, _PLACED, _GROUP, _PARTS = (MEMORY.index(name) for name in MEMORY[6:])
 
 
-@njit(cache=True, nogil=True)
+Before = tuple[Ints, Ints, Ints, Ints, Floats, Floats, Floats, Floats, Floats]
+"""Of the tracks: status, age, hits, misses, size_m, near_offset_m, n_pixels, class_probability, memory."""
+_Shown = tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
+"""`Seen` without the covariances."""
+
+
+@kernel
 def live(
-    status: Ints,
-    age: Ints,
-    hits: Ints,
-    misses: Ints,
-    shape: Floats,
-    near_offset: Floats,
-    n_pixels: Floats,
-    class_probability: Floats,
-    memory: Floats,
-    label: Ints,
-    position: Floats,
+    before: Before,
+    seen: _Shown,
     covariance: Floats,
-    size: Floats,
-    near: Floats,
-    pixels: Ints,
-    box: Ints,
-    range_m: Floats,
-    amplitude: Floats,
-    sigma: Floats,
-    cut: Ints,
     rules: Floats,
     dt_s: float,
     took: Ints,
     P: Floats,
-    nis: Floats,
-    counts: Ints,
-    means: Floats,
-    new_shape: Floats,
-    new_memory: Floats,
-) -> tuple[int, int, int, int]:
-    """Age the tracks and take the shapes of their segments in; given one by one, as in `filter.advance`.
+    new: tuple[Ints, Floats, Floats, Floats],
+) -> tuple[bool, int, int, int, int]:
+    """Age the tracks and take the shapes of their segments in.
 
-    took, P, nis: the segment of each track, its covariance and NIS, as `advance` has left them; rules: `filter.RULES`.
-    Written: counts (5, N): status (`GONE` for the end), age, hits, misses, label of the segment; means (2, N):
-    near_offset, n_pixels; new_shape (N, 3), new_memory.
+    covariance (M, 3, 3): of the segments; took (N,), P (N, 9, 9): the segment and the covariance of each track after
+    the update; rules: `RULES`. Written, in `new`: counts (5, N): status (`GONE` for the end), age, hits, misses, label
+    of the segment; means (3, N): near_offset, n_pixels, and NIS, which is there already; size (N, 3), memory.
 
-    Return how many tracks end, how many finite segments are left over, how many tracks that are not tentative took
-    none, how many segments are not finite.
+    Return that this is done, how many tracks end, how many finite segments are left over, how many tracks that are not
+    tentative took none, how many segments are not finite.
     """
-    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut
-    _reshape(took, (shape, near_offset, n_pixels, memory), seen, rules, (counts[4], new_shape, means, new_memory))
-    _adapt(nis, dt_s, rules, new_memory)
-    ended = _count(took, pixels, (status, age, hits, misses, class_probability), P, rules, counts)
-    left, taken, lost = left_over(took, position, covariance, size, np.empty(len(position), np.int64)), 0, 0
+    status, age, hits, misses, size, near_offset, n_pixels, class_probability, memory = before
+    counts, means, new_size, new_memory = new
+    _reshape(took, (size, near_offset, n_pixels, memory), seen, rules, (counts[4], new_size, means, new_memory))
+    _adapt(means[2], dt_s, rules, new_memory)
+    ended = _count(took, seen[4], (status, age, hits, misses, class_probability), P, rules, counts)
+    position = seen[1]
+    left, taken, lost = left_over(took, position, covariance, seen[2], np.empty(len(position), np.int64)), 0, 0
     for i in range(took.size):
         if took[i] >= 0:
             taken += 1
         elif status[i] != _TENTATIVE:
             lost += 1
-    return ended, left, lost, len(position) - left - taken
+    return True, ended, left, lost, len(position) - left - taken
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count(
     took: Ints,
     pixels: Ints,
@@ -106,7 +93,7 @@ def _count(
     return gone
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _adapt(nis: Floats, T: float, rules: Floats, memory: Floats) -> None:
     """Let each track's process noise follow its innovations (K-FUT-08), in place.
 
@@ -121,11 +108,11 @@ def _adapt(nis: Floats, T: float, rules: Floats, memory: Floats) -> None:
                 memory[i, _NOISE] = min(max(factor, 1 / limit), limit)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _reshape(
     took: Ints,
     old: tuple[Floats, Floats, Floats, Floats],
-    seen: tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints],
+    seen: _Shown,
     rules: Floats,
     new: tuple[Ints, Floats, Floats, Floats],
 ) -> None:
@@ -165,7 +152,7 @@ def _reshape(
                     memory[i, 3 + a] += weight * (apart * apart - memory[i, 3 + a])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def describe(
     size: Floats,
     pixels: Ints,
@@ -198,12 +185,12 @@ _CUT_SHORT = 2 * math.log(2) ** 2 - 4 * math.log(2) + 2
 """Mean square of log(1 + u) for u evenly between 0 and 1."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _at_least(value: float, least: float) -> float:
     return value if least < value < 1e9 else least  # not so if it is not a number
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def left_over(took: Ints, position: Floats, covariance: Floats, size: Floats, first: Ints) -> int:
     """Write the indices of the finite segments that no track took into the first of `first`; return how many."""
     n = 0

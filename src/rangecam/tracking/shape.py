@@ -6,8 +6,9 @@ import numpy as np
 from numba import njit
 
 from rangecam.tracking.association import NO_PAIR
-from rangecam.tracking.filter import ACROSS, UP, Seen
 from rangecam.tracking.living import describe
+from rangecam.tracking.rules import Seen
+from rangecam.tracking.sighting import ACROSS, UP
 from rangecam.types import MEMORY, Floats, Ints, Tracks
 
 SHAPE_SPREAD = 3

@@ -7,7 +7,6 @@ itself. A give-back is any frame of the master without the magic number (E-S-25:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 
 from rangecam.brake.gate import CanFrame
@@ -24,7 +23,7 @@ from rangecam.can.codec import (
     decode,
     encode,
 )
-from rangecam.values import changed
+from rangecam.values import changed, record
 from rangecam.vehicle.dynamics import Command, VehicleState
 from rangecam.vehicle.remote import Hand, command_of
 from rangecam.vehicle.sensors import electricity, measured_speed
@@ -38,7 +37,7 @@ class Control(IntEnum):
     BUS = 1
 
 
-@dataclass(frozen=True)
+@record
 class UnitState:
     """The memory of the unit.
 

@@ -1,0 +1,29 @@
+"""How a kernel is compiled: when it is first called, and kept on disk until anything that it is made of changes."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from numba import njit
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def kernel(function: F) -> F:
+    """Compile loops over arrays as `njit(cache=True, nogil=True)` does, also where they use kernels of other files.
+
+    Numba's cache on disk notices changes of the file that a kernel is in, not of those whose kernels it takes in. So
+    what marks its cache as fresh is, beside its own file, that of each kernel that its module imports, which has been
+    given those of what it imports in turn.
+    """
+    made: Any = njit(cache=True, nogil=True)(function)
+    others = [each for each in function.__globals__.values() if hasattr(each, "py_func")]
+    marks = {repr(_index(each)._source_stamp) for each in others if each.__module__ != function.__module__}
+    if marks:
+        _index(made)._source_stamp = (_index(made)._source_stamp, *sorted(marks))
+    compiled: F = made
+    return compiled
+
+
+def _index(dispatcher: Any) -> Any:
+    """Return the index of a dispatcher's cache on disk, to which Numba has no public way."""
+    return dispatcher._cache._cache_file
