@@ -34,7 +34,7 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
         moments[:], told[:] = 0.0, 0.0
         first_row = box[k, 0] + (box[k, 2] - box[k, 0] - 1) % stride // 2
         first_column = box[k, 1] + (box[k, 3] - box[k, 1] - 1) % stride // 2
-        inner, squares, pieces, lines, total = 0, 0.0, 0, 0, 0.0
+        looked, inner, squares, pieces, lines, total = 0, 0, 0.0, 0, 0, 0.0
         for row in range(first_row, box[k, 2], stride):
             lines += 1
             before = False
@@ -44,6 +44,7 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
                 before = own
                 if not own or (column - first_column) % stride:
                     continue
+                looked += 1
                 above, below = max(row - 1, 0), min(row + 1, height - 1)  # an edge of the image is none of the segment
                 left, right = max(column - 1, 0), min(column + 1, width - 1)
                 if labels[above, column] != k + 1 or labels[below, column] != k + 1:
@@ -68,7 +69,7 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
             surface[k, a] = told[a, 0]
         shade = told[3, 1] * inner / total if total > 0.0 else 0.0
         surface[k, 5] = shade if math.isfinite(shade) else 0.0  # an amplitude may be missing
-        surface[k, 6], surface[k, 7] = inner * stride * stride / number, pieces / lines
+        surface[k, 6], surface[k, 7] = inner / max(looked, 1), pieces / lines
 
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy")

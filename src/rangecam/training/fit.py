@@ -9,7 +9,7 @@ from rangecam.errors import UsageError
 from rangecam.training.examples import Examples
 from rangecam.types import CLASSES, Floats, Ints
 
-_ROUNDS = 150
+_ROUNDS = 300
 _LEAVES = 12
 _RATE = 0.1
 _VALIDATION = 4  # each fourth drive is kept until the temperature is found
