@@ -254,11 +254,15 @@ def test_the_trees_know_a_driving_car_and_a_walking_person() -> None:
         "box": np.array([[50, 50, 80, 92]]),
         "position_m": np.array([[8.5, 0.0, 0.75]]),
         "profile": profile_of((0.8, 0.85, 1.0, 0.95), (0.8, 0.85, 1.0, 0.7), (0.7, 0.6, -0.4, -0.4)),
+        "surface": np.array([[0.05, 0.17, 0.0, 0.01, 0.04, -0.02, 0.73, 1.3]]),
     }
     driving = track()
     driving.state[0, 1] = 6.0
     assert seen(driving, segments_of(**car))[0].class_name == "vehicle"
-    person = segments_of(profile=profile_of((0.4, 0.9, 0.75, 0.6), (0.4, 0.9, 0.7, 0.5)))  # whose limbs do not swing
+    person = segments_of(  # whose limbs do not swing
+        profile=profile_of((0.4, 0.9, 0.75, 0.6), (0.4, 0.9, 0.7, 0.5)),
+        surface=np.array([[0.06, 0.3, -0.04, 0.37, 0.1, -0.35, 0.49, 1.2]]),
+    )
     walking = seen(track(lateral_mps=1.3, sigma_mps=0.05), person)[0]
     assert walking.class_probability[CLASSES.index("vru")] > 3 * walking.class_probability[[2, 3]].max()
 
