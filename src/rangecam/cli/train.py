@@ -18,6 +18,7 @@ def train(
     *,
     drives: Annotated[int, Parameter(help="Drives of each sensor to learn from.")] = 2000,
     held_out: Annotated[int, Parameter(help="Other drives of each sensor to score with.")] = 150,
+    rounds: Annotated[int, Parameter(help="Rounds of growing, of one tree for each class.")] = 300,
     seed: Annotated[int, Parameter(help="Seed of the drives.")] = 1,
     jobs: Annotated[int | None, Parameter(help="Processes to work in; otherwise as many as there are cores.")] = None,
     json: Json = False,
@@ -39,7 +40,7 @@ def train(
         if target is not None:
             examples = simulate(learning_lots(drives, seed), over)
             with replacing(target) as part:
-                save_model(fit(examples, seed), part)
+                save_model(fit(examples, seed, rounds), part)
         scored = scores(load_model("" if target is None else str(target)), held_out, seed, over)
     if json:
         print(json_format.dumps({"model": None if model is None else str(model), "scores": scored}, allow_nan=False))
