@@ -30,7 +30,7 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
         x, y, z = sums[k, 1] / number, sums[k, 2] / number, sums[k, 3] / number
         away = max(math.sqrt(x * x + y * y), 1e-6)
         cosine, sine = x / away, y / away
-        stride = int(math.ceil(math.sqrt(number / _MOST)))
+        stride = math.ceil(math.sqrt(number / _MOST))
         moments[:], told[:] = 0.0, 0.0
         first_row = box[k, 0] + (box[k, 2] - box[k, 0] - 1) % stride // 2
         first_column = box[k, 1] + (box[k, 3] - box[k, 1] - 1) % stride // 2
@@ -74,7 +74,7 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
 def _solve(moments: Any, told: Any) -> float:
-    """Replace the right sides by the solutions of `moments` (its lower half) c = `told`; return what the first explains.
+    """Replace the right sides by the solutions of `moments` (lower half) c = `told`; return what the first explains.
 
     moments is positive definite: its Cholesky factor replaces it. With L z = t, what a fit explains of the squares is
     the sum of z^2.

@@ -106,7 +106,7 @@ def _part(segments: Segments, which: Any) -> Segments:
 
 
 def _measured(segments: Segments) -> dict[str, Any]:
-    """Return the fields of segments, without the profile of their outlines and their surface: no filter asks for them."""
+    """Return the fields of segments, without profile and surface: no filter asks for them."""
     return {key: array for key, array in vars(segments).items() if key not in ("profile", "surface")}
 
 
