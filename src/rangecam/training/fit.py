@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.classify.learned import Model, probabilities
+from rangecam.classify.learned import Model, compact, probabilities
 from rangecam.errors import UsageError
 from rangecam.training.examples import Examples
 from rangecam.types import CLASSES, Floats, Ints
@@ -69,7 +69,7 @@ def _taken_out(grown: Any) -> Model:
     nodes = np.concatenate(trees)
     start = np.repeat(roots[:-1], np.diff(roots))
     leaf = nodes["is_leaf"].astype(bool)
-    return Model(
+    found = Model(
         feature=np.where(leaf, -1, nodes["feature_idx"]),
         threshold=np.where(leaf, 0.0, nodes["num_threshold"]),
         left=np.where(leaf, 0, nodes["left"] + start),
@@ -79,6 +79,7 @@ def _taken_out(grown: Any) -> Model:
         base=grown._baseline_prediction.ravel().astype(float),
         temperature=1.0,
     )
+    return compact(found)
 
 
 def _temperature(model: Model, features: Floats, classes: Ints, weights: Floats) -> float:
