@@ -87,7 +87,7 @@ def save_model(model: Model, path: Path) -> None:
     """Write a model to a file (.npz)."""
     arrays = {key: np.asarray(value, np.float32) for key, value in vars(model).items()} | vars(compact(model))
     with path.open("wb") as file:
-        np.savez_compressed(file, names=np.array(FEATURES), **arrays)  # type: ignore[arg-type]  # none is allow_pickle
+        np.savez_compressed(file, names=np.array(FEATURES), **arrays)
 
 
 @lru_cache(maxsize=4)
