@@ -21,7 +21,6 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
     surface turns away from us it sends less back (Lambert). At the edges of a segment pixels are mixed, or torn by what
     moves. Of large segments every second, third, ... row and column is looked at.
     """
-    height, width = labels.shape
     range_m, amplitude = light
     moments, told = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, 2))
     term = np.ones(_TERMS)
@@ -45,11 +44,7 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
                 if not own or (column - first_column) % stride:
                     continue
                 looked += 1
-                above, below = max(row - 1, 0), min(row + 1, height - 1)  # an edge of the image is none of the segment
-                left, right = max(column - 1, 0), min(column + 1, width - 1)
-                if labels[above, column] != k + 1 or labels[below, column] != k + 1:
-                    continue
-                if labels[row, left] != k + 1 or labels[row, right] != k + 1:
+                if not _inner(labels, row, column):
                     continue
                 ahead, beside = float(points[row, column, 0]), float(points[row, column, 1])
                 u, v = beside * cosine - ahead * sine, float(points[row, column, 2]) - z
@@ -70,6 +65,16 @@ def surface_shape(labels: Any, points: Any, light: Any, sums: Any, box: Any, sur
         shade = told[3, 1] * inner / total if total > 0.0 else 0.0
         surface[k, 5] = shade if math.isfinite(shade) else 0.0  # an amplitude may be missing
         surface[k, 6], surface[k, 7] = inner / max(looked, 1), pieces / lines
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _inner(labels: Any, row: int, column: int) -> bool:
+    """Return whether the four neighbours of a pixel are of its segment; an edge of the image is none of a segment."""
+    height, width = labels.shape
+    own, above, below = labels[row, column], max(row - 1, 0), min(row + 1, height - 1)
+    if labels[above, column] != own or labels[below, column] != own:
+        return False
+    return bool(labels[row, max(column - 1, 0)] == own and labels[row, min(column + 1, width - 1)] == own)
 
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
