@@ -80,6 +80,23 @@ def test_segments_that_nobody_measured_have_the_profile_of_a_full_box() -> None:
     np.testing.assert_array_equal(one, other)
 
 
+def test_segments_whose_surface_nobody_measured_are_smooth_boards_that_face_us() -> None:
+    board = segments_of(surface=np.array([[0.0] * 6 + [1.0, 1.0]]))
+    one, other = (observe(track(), Ego(speed_mps=0.0), each)[1] for each in (segments_of(), board))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_the_bends_of_a_surface_are_told_by_how_far_its_sides_and_ends_lie_behind_its_middle() -> None:
+    surface = np.array([[0.02, -0.3, 0.1, 2.0, -0.5, -4.0, 0.7, 1.2]])
+    told = observe(track(), Ego(speed_mps=0.0), segments_of(surface=surface))[1][0]
+    at = {name: told[FEATURES.index(name)] for name in FEATURES}
+    assert at["sag_across"] == pytest.approx(2.0 * 0.25**2)
+    assert at["sag_up_now"] == pytest.approx(-0.5 * 0.85**2)
+    assert at["shade_across"] == pytest.approx(-4.0 * 0.25**2)
+    assert (at["lean_across"], at["lean_up"], at["inner"], at["pieces_now"]) == pytest.approx((0.3, 0.1, 0.7, 1.2))
+    assert at["log_rough"] == pytest.approx(np.log(0.025))
+
+
 def first(tracks: Tracks, settings: ClassificationSettings = AT_ONCE, ego: Ego = UNMEASURED) -> Track:
     return classify(tracks, ego, settings, nothing())[0]
 
@@ -237,11 +254,15 @@ def test_the_trees_know_a_driving_car_and_a_walking_person() -> None:
         "box": np.array([[50, 50, 80, 92]]),
         "position_m": np.array([[8.5, 0.0, 0.75]]),
         "profile": profile_of((0.8, 0.85, 1.0, 0.95), (0.8, 0.85, 1.0, 0.7), (0.7, 0.6, -0.4, -0.4)),
+        "surface": np.array([[0.05, 0.17, 0.0, 0.01, 0.04, -0.02, 0.73, 1.3]]),
     }
     driving = track()
     driving.state[0, 1] = 6.0
     assert seen(driving, segments_of(**car))[0].class_name == "vehicle"
-    person = segments_of(profile=profile_of((0.4, 0.9, 0.75, 0.6), (0.4, 0.9, 0.7, 0.5)))  # whose limbs do not swing
+    person = segments_of(  # whose limbs do not swing
+        profile=profile_of((0.4, 0.9, 0.75, 0.6), (0.4, 0.9, 0.7, 0.5)),
+        surface=np.array([[0.06, 0.3, -0.04, 0.37, 0.1, -0.35, 0.49, 1.2]]),
+    )
     walking = seen(track(lateral_mps=1.3, sigma_mps=0.05), person)[0]
     assert walking.class_probability[CLASSES.index("vru")] > 3 * walking.class_probability[[2, 3]].max()
 
@@ -258,6 +279,7 @@ def test_the_memory_holds_running_means_and_a_frame_counts_once() -> None:
     assert mean == pytest.approx((np.log(0.5) + np.log(1.0)) / 2)
     variance = later.class_memory[0, MEMORY.index("log_width_variance")]
     assert variance == pytest.approx(np.var([np.log(0.5), np.log(1.0)]))
+    assert later.class_memory[0, MEMORY.index("log_width_now")] == 0.0
     unseen = classify(dataclasses.replace(later, time_s=0.2, segment=np.array([0])), Ego(), LEARNED, ones)
     np.testing.assert_array_equal(unseen.class_memory, later.class_memory)
 

@@ -1,14 +1,15 @@
-"""What cuts a segment short, and where its surface is nearest."""
+"""What cuts a segment short, where its surface is nearest, and how it is bent."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy import ndimage
 
 from rangecam.geometry import Lens, Mounting, rays, rotation, to_world
 from rangecam.segmentation import SegmentSettings, measure_segments
-from rangecam.types import Cut, RangeImage, Why
+from rangecam.types import SURFACE, Cut, RangeImage, Why
 
 LENS = Lens(horizontal_fov_deg=50)
 SHAPE = (40, 60)
@@ -203,3 +204,80 @@ def test_torn_ends_make_the_range_of_thin_things_beside_our_way_uncertain(column
     more = np.sqrt(with_it.sigma_range_m**2 - without.sigma_range_m**2)
     assert_allclose(more, 10.0 * sine * share, rtol=1e-6)
     assert segment(block(slice(10, 20), slice(29, 31)), wall(), edge_range_sigma_m=10.0).sigma_range_m < 0.01
+
+
+# ---- how the surface is bent
+
+
+def surface(labels, source):
+    return dict(zip(SURFACE, segment(labels, source).surface, strict=True))
+
+
+def bent(of):
+    """Return a surface at 5 m whose distance along x is a function of the places across and up."""
+    ray, source = rays(LENS, SHAPE), wall()
+    depth = 5.0 / ray[..., 0]
+    for _ in range(30):  # only the middle is looked at where it bends
+        depth = (5.0 + of(*(np.clip(depth * ray[..., k], -1, 1) for k in (1, 2)))) / ray[..., 0]
+    source.range_m[:] = depth
+    return source
+
+
+MIDDLE = block(slice(14, 26), slice(22, 38))  # 1.1 m wide
+
+
+def test_a_plane_that_leans_has_its_slopes_and_no_bends():
+    seen = surface(MIDDLE, bent(lambda across, up: 0.4 * across - 0.2 * up))
+    assert seen["lean_across"] == pytest.approx(0.4, abs=0.03)
+    assert seen["lean_up"] == pytest.approx(-0.2, abs=0.02)
+    assert max(abs(seen["bend_across"]), abs(seen["bend_up"])) < 0.01
+    assert seen["rough_m"] < 0.005
+
+
+def test_a_trunk_is_bent_across_by_half_of_one_over_its_radius_and_shaded_by_the_cosine():
+    radius, source = 1.0, bent(lambda across, up: across**2 / 2)
+    across = source.range_m * rays(LENS, SHAPE)[..., 1]
+    source.amplitude[:] = (1 - (across / radius) ** 2 / 2) / source.range_m**2
+    seen = surface(MIDDLE, source)
+    assert seen["bend_across"] == pytest.approx(0.5 / radius, rel=0.03)
+    assert seen["shade"] == pytest.approx(-0.5 / radius**2 / (1 - 0.55**2 / 6), rel=0.05)
+    assert abs(seen["bend_up"]) < 0.01
+
+
+@pytest.mark.parametrize("labels", [MIDDLE, block(slice(None), slice(None))], ids=["each pixel", "some of many"])
+def test_the_parabola_is_the_one_of_least_squares(labels):
+    source = bent(lambda across, up: 0.1 * across + 0.05 * across**2 + 0.02 * np.sin(9 * across) * np.cos(7 * up))
+    seen, points = surface(labels, source), to_world(source, LENS, Mounting()).astype(float)
+    centre = points[labels == 1].mean(axis=0)
+    inner = ndimage.binary_erosion(labels == 1, border_value=1)
+    away = np.hypot(*centre[:2])
+    x, y, z = points[inner].T
+    u, v = (y * centre[0] - x * centre[1]) / away, z - centre[2]
+    terms = np.stack([np.ones_like(u), u, v, u * u, v * v], axis=1)
+    best, *_ = np.linalg.lstsq(terms, (x * centre[0] + y * centre[1]) / away - away)
+    kept = [seen[name] for name in ("lean_across", "lean_up", "bend_across", "bend_up")]
+    assert_allclose(kept, best[1:], atol=0.01)
+
+
+def test_the_roughness_of_a_plane_is_its_noise():
+    source = wall()
+    source.range_m[:] += 0.05 * np.random.default_rng(3).standard_normal(SHAPE)
+    assert surface(block(slice(5, 35), slice(10, 40)), source)["rough_m"] == pytest.approx(0.05, rel=0.15)
+
+
+def test_an_edge_of_the_image_is_no_edge_of_the_surface_and_legs_are_two_pieces_in_a_row():
+    assert surface(block(slice(None), slice(None)), wall())["inner"] == 1.0
+    assert surface(block(slice(10, 16), slice(20, 30)), wall())["inner"] == pytest.approx(4 * 8 / 60)
+    labels = block(slice(10, 20), slice(20, 30))
+    labels[15:20, 24:26] = 0
+    assert surface(labels, wall())["pieces"] == 1.5
+
+
+def test_what_has_no_inner_pixels_is_flat_and_without_light_nothing_is_said_of_shade():
+    seen = surface(block(slice(10, 12), slice(20, 30)), wall())
+    assert list(seen.values()) == [0.0] * 7 + [1.0]
+    dark = bent(lambda across, up: 0.4 * across)
+    dark.amplitude[:] = np.nan
+    seen = surface(MIDDLE, dark)
+    assert seen["shade"] == 0.0
+    assert seen["lean_across"] == pytest.approx(0.4, abs=0.03)

@@ -18,7 +18,7 @@ from rangecam.types import Cut
 
 def made_up(count, rng):
     """Examples of three classes that differ in one feature, whose truth is drawn with known probabilities."""
-    features = rng.standard_normal((count, len(FEATURES)))
+    features = rng.standard_normal((count, len(FEATURES))).round(1)  # of few values thresholds are found in no time
     odds = np.exp(2 * np.stack([features[:, 0], np.zeros(count), -features[:, 0]], axis=1))
     shares = odds / odds.sum(axis=1, keepdims=True)
     classes = 1 + (rng.random(count)[:, None] > np.cumsum(shares, axis=1)).sum(axis=1)
@@ -60,7 +60,7 @@ def test_the_chain_sees_things_of_a_drive_whose_class_the_truth_tells():
 
 def test_trees_taken_out_say_what_the_library_says():
     examples, _ = made_up(900, np.random.default_rng(1))
-    grown = _grow(examples.features, examples.classes - 1, np.ones(900), 1)
+    grown = _grow(examples.features, examples.classes - 1, np.ones(900), 1, 40)
     np.testing.assert_allclose(
         probabilities(examples.features, _taken_out(grown)), grown.predict_proba(examples.features), atol=1e-4
     )
@@ -68,7 +68,7 @@ def test_trees_taken_out_say_what_the_library_says():
 
 @cache
 def fitted():
-    return fit(made_up(4000, np.random.default_rng(2))[0], 1)
+    return fit(made_up(4000, np.random.default_rng(2))[0], 1, 60)
 
 
 def test_fitted_probabilities_are_those_of_classes_that_come_alike():
@@ -85,7 +85,7 @@ def test_a_class_without_examples_is_refused():
     examples, _ = made_up(50, np.random.default_rng(3))
     lacking = Examples(**{**vars(examples), "classes": np.ones(50, int)})
     with pytest.raises(UsageError, match="no example of vehicle, obstacle"):
-        fit(lacking, 1)
+        fit(lacking, 1, 1)
 
 
 def test_scores_count_what_is_decided_and_what_is_right():

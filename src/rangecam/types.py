@@ -165,10 +165,16 @@ class Segment:
     cut: int
     nearest_m: Floats
     profile: Floats | None = None
+    surface: Floats | None = None
 
 
 PROFILE_BANDS = 4
 """Parts of equal height, from the top, in which the outline of a segment is looked at."""
+SURFACE = ("rough_m", "lean_across", "lean_up", "bend_across", "bend_up", "shade", "inner", "pieces")
+"""Columns of `Segments.surface`, from the parabola that fits the inner pixels of a segment best, distance over places
+across the line of sight and up: root mean square of what is left (m), slopes, coefficients of the squares (1/m); that
+across of the same parabola through their light, as a share of its mean (1/m2); the share of the pixels that are inner
+ones; the mean number of pieces in a row."""
 
 
 @value
@@ -185,6 +191,7 @@ class Segments(Rows):
     profile (N, 3, B): of `PROFILE_BANDS` from the top to the bottom of its box: from its first to its last pixel in a
         row, as a share of the box's width; the share of the band that it fills; how much farther away it is than as a
         whole, along the ground (m). None where nobody measured it.
+    surface (N, 8): how its surface is bent, see `SURFACE`. None where nobody measured it.
     """
 
     label: Ints
@@ -200,6 +207,7 @@ class Segments(Rows):
     cut: NDArray[np.uint8]
     nearest_m: Floats
     profile: Floats | None = None
+    surface: Floats | None = None
 
     def __getitem__(self, i: int) -> Segment:
         return Segment(
@@ -216,6 +224,7 @@ class Segments(Rows):
             int(self.cut[i]),
             self.nearest_m[i],
             None if self.profile is None else self.profile[i],
+            None if self.surface is None else self.surface[i],
         )
 
     def __iter__(self) -> Iterator[Segment]:

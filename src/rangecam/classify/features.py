@@ -1,7 +1,8 @@
-"""What the learned classifier looks at: how a track looked and moved so far.
+"""What the learned classifier looks at: how a track looks and moves, and did so far.
 
 Frames of one track are not independent evidence: its size in one of them tells much of that in the next. So no
 probabilities are multiplied; what is seen is averaged, and the classifier learns how sure one may be of such averages.
+It sees the present frame beside them: where both differ, a track has just lost a part of its object, or taken another.
 """
 
 import math
@@ -11,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from rangecam.classify.ground import own_velocity
-from rangecam.types import PROFILE_BANDS, Ego, Floats, Segments, Tracks, TrackStatus
+from rangecam.types import PROFILE_BANDS, SURFACE, Ego, Floats, Segments, Tracks, TrackStatus
 
 SEEN = (
     *("log_width", "log_height", "log_depth", "log_fill"),
@@ -19,21 +20,29 @@ SEEN = (
     *("bottom_m", "top_m", "log_columns", "log_rows", "log_range"),
     *("cut_beside", "cut_above", "cut_below", "occluded"),
     *("log_speed", "log_speed_across", "log_speed_along", "log_speed_sigma"),
+    *("log_rough", "lean_across", "lean_up", "sag_across", "sag_up", "shade_across", "inner", "pieces"),
 )
 """What is seen of an object in one frame: its extent across the line of sight, upwards and along it (m), the share of
 its box in the image that it fills, the profile of its outline (`Segments`), where it begins and ends above the ground,
 pixels across and down, range, what cuts it short (0 or 1), and its speed over ground, m/s: whole, across the line of
-sight, along it, its standard deviation."""
+sight, along it, its standard deviation. And the shape of its surface (`SURFACE`): how far it is from smooth, how it
+leans, by how much its sides and its ends lie behind its middle (m), and by how much less light its sides send back."""
 _SPREADS, _SEEN, _MEANS = 4 + PROFILE_BANDS, len(SEEN), 4
 _BOX = 4 + 3 * PROFILE_BANDS  # first of what follows the profile
+_SURFACE = _SEEN - len(SURFACE)
 FEATURES = (
     *SEEN,
+    *(f"{name}_now" for name in SEEN),
     *(f"{name}_spread" for name in SEEN[:_SPREADS]),
     *("log_slenderness", "moved_mps", "log_seen_s"),
 )
-"""What the classifier is given: running means, the spread of the first of them (legs swing), height over width, the
-greatest speed that it had for sure, and for how long it is seen."""
-MEMORY = ("frames", "time_s", "moved_mps", "since_s", *SEEN, *(f"{name}_variance" for name in SEEN[:_SPREADS]))
+"""What the classifier is given: running means, what is seen at last, the spread of the first of them (legs swing),
+height over width, the greatest speed that it had for sure, and for how long it is seen."""
+MEMORY = (
+    *("frames", "time_s", "moved_mps", "since_s", *SEEN),
+    *(f"{name}_now" for name in SEEN),
+    *(f"{name}_variance" for name in SEEN[:_SPREADS]),
+)
 """Columns of `Tracks.class_memory`."""
 RESOLVED_PIXELS = 4
 """Columns, and rows, below which an object is not resolved. What tells a person from a post is that the head is 0.24 m
@@ -63,6 +72,7 @@ def observe(tracks: Tracks, ego: Ego, segments: Segments) -> tuple[Floats, Float
         np.asarray(segments.range_m, float),
         np.asarray(segments.cut, np.int64),
         _profile_of(segments),
+        _surface_of(segments),
     )
     rows = np.asarray(tracks.segment, np.int64) - 1
     _observe(rows, tracks.state, tracks.covariance, own_velocity(ego), tracks.time_s, *seen, memory, features)
@@ -88,6 +98,13 @@ def _profile_of(segments: Segments) -> Floats:
     return np.asarray(segments.profile, float).reshape(count, 3 * PROFILE_BANDS)
 
 
+def _surface_of(segments: Segments) -> Floats:
+    """Return the surfaces (N, 8); where nobody measured them, those of smooth boards that face us."""
+    if segments.surface is None:
+        return np.repeat([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0]], len(segments), axis=0)
+    return np.asarray(segments.surface, float)
+
+
 @njit(cache=True, nogil=True)
 def _observe(
     rows: Any,
@@ -102,6 +119,7 @@ def _observe(
     range_m: Any,
     cut: Any,
     profile: Any,
+    surface: Any,
     memory: Any,
     features: Any,
 ) -> None:
@@ -110,6 +128,7 @@ def _observe(
         k = rows[i]
         if 0 <= k < len(range_m) and (memory[i, 0] == 0.0 or memory[i, 1] != time_s):
             _look(position[k], size[k], n_pixels[k], box[k], range_m[k], cut[k], profile[k], now)
+            _feel(surface[k], now)
             moved = _move(state[i], covariance[i], own, now)
             _remember(now, moved, time_s, memory[i])
         _describe(memory[i], features[i])
@@ -132,6 +151,15 @@ def _look(position: Any, size: Any, n_pixels: Any, box: Any, range_m: Any, cut: 
     now[at + 2], now[at + 3], now[at + 4] = math.log(columns), math.log(rows), math.log(max(range_m, 0.01))
     now[at + 5], now[at + 6] = 1.0 if cut & 3 else 0.0, 1.0 if cut & 4 else 0.0
     now[at + 7], now[at + 8] = 1.0 if cut & 8 else 0.0, 1.0 if cut & 16 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _feel(surface: Any, now: Any) -> None:
+    """Fill how the surface of an object is bent; width and height are filled in."""
+    at, wide, high = _SURFACE, math.exp(now[0]) / 2, math.exp(now[1]) / 2
+    now[at], now[at + 1], now[at + 2] = math.log(0.005 + surface[0]), abs(surface[1]), surface[2]
+    now[at + 3], now[at + 4] = surface[3] * wide * wide, surface[4] * high * high
+    now[at + 5], now[at + 6], now[at + 7] = surface[5] * wide * wide, surface[6], surface[7]
 
 
 @njit(cache=True, nogil=True)
@@ -168,8 +196,9 @@ def _remember(now: Any, moved: float, time_s: float, memory: Any) -> None:
     for k in range(now.size):
         apart = now[k] - memory[_MEANS + k]
         memory[_MEANS + k] += weight * apart
+        memory[_MEANS + now.size + k] = now[k]
         if k < _SPREADS:
-            at = _MEANS + now.size + k
+            at = _MEANS + 2 * now.size + k
             memory[at] = (1.0 - weight) * (memory[at] + weight * apart * apart)
 
 
@@ -177,10 +206,10 @@ def _remember(now: Any, moved: float, time_s: float, memory: Any) -> None:
 def _describe(memory: Any, features: Any) -> None:
     count = _SEEN
     for k in range(count):
-        features[k] = memory[_MEANS + k]
+        features[k], features[count + k] = memory[_MEANS + k], memory[_MEANS + count + k]
     for k in range(_SPREADS):
-        features[count + k] = math.sqrt(max(memory[_MEANS + count + k], 0.0))
-    at = count + _SPREADS
+        features[2 * count + k] = math.sqrt(max(memory[_MEANS + 2 * count + k], 0.0))
+    at = 2 * count + _SPREADS
     features[at] = memory[_MEANS + 1] - memory[_MEANS]
     features[at + 1] = memory[2]
     features[at + 2] = math.log(0.1 + memory[1] - memory[3])

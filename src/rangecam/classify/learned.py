@@ -76,12 +76,18 @@ def probabilities(features: Floats, model: Model) -> Floats:
     return told
 
 
+def compact(model: Model) -> Model:
+    """Return the model with nodes of few bytes, as its file has them: walking down its trees is waiting for memory."""
+    small: dict[str, Any] = {"feature": np.int8, "left": np.int32, "right": np.int32, "roots": np.int32}
+    small |= {"threshold": np.float32, "value": np.float32}
+    return Model(**{**vars(model), **{key: vars(model)[key].astype(kind) for key, kind in small.items()}})
+
+
 def save_model(model: Model, path: Path) -> None:
     """Write a model to a file (.npz)."""
-    small = {"feature": np.int8, "left": np.int16, "right": np.int16, "roots": np.int16}
-    arrays = {key: np.asarray(value).astype(small.get(key, np.float32)) for key, value in vars(model).items()}
+    arrays = {key: np.asarray(value, np.float32) for key, value in vars(model).items()} | vars(compact(model))
     with path.open("wb") as file:
-        np.savez_compressed(file, names=np.array(FEATURES), **arrays)  # type: ignore[arg-type]  # none is allow_pickle
+        np.savez_compressed(file, names=np.array(FEATURES), **arrays)
 
 
 @lru_cache(maxsize=4)
@@ -122,7 +128,7 @@ def _checked(values: dict[str, Any], path: str) -> Model:
     base, temperature = values["base"].astype(float), float(values["temperature"])
     if not (temperature > 0 and np.isfinite([*threshold, *value, *base, temperature]).all()):
         raise DataError(f"{path}: not a model of the classifier: its numbers must be finite, its temperature above 0")
-    return Model(feature, threshold, left, right, value, roots, base, temperature)
+    return compact(Model(feature, threshold, left, right, value, roots, base, temperature))
 
 
 def _arrays(model: Model) -> tuple[Any, ...]:

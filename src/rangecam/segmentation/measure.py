@@ -12,7 +12,8 @@ from rangecam.geometry import Lens, Mounting, is_plain, pixel_pitch, pixel_steps
 from rangecam.segmentation.outline import cut_short
 from rangecam.segmentation.profile import outline_profile
 from rangecam.segmentation.settings import SegmentSettings
-from rangecam.types import PROFILE_BANDS, Floats, Ints, RangeImage, Segments
+from rangecam.segmentation.surface import surface_shape
+from rangecam.types import PROFILE_BANDS, SURFACE, Floats, Ints, RangeImage, Segments
 
 
 def measure_segments(
@@ -35,9 +36,9 @@ def measure_segments(
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
-    profile = np.empty((count, 3, PROFILE_BANDS))
+    profile, surface = np.empty((count, 3, PROFILE_BANDS)), np.empty((count, len(SURFACE)))
     known, angles = _known(lens, mounting, shape, settings), _angles(lens, shape)
-    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut, profile
+    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut, profile, surface
     if not _measure(labels, np.ascontiguousarray(points), *planes, why, known, angles, *filled):
         return _without_holes(labels, points, image, lens, mounting, settings)
     return Segments(
@@ -54,6 +55,7 @@ def measure_segments(
         cut=cut,
         nearest_m=nearest_m,
         profile=profile,
+        surface=surface,
     )
 
 
@@ -124,8 +126,9 @@ def _measure(
     nearest_m: Any,
     cut: Any,
     profile: Any,
+    surface: Any,
 ) -> Any:
-    """Fill the nine last arrays, means: range and amplitude; return False if a point is not finite or missing."""
+    """Fill the ten last arrays, means: range and amplitude; return False if a point is not finite or missing."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
     for k in range(len(sums)):
@@ -134,6 +137,7 @@ def _measure(
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
     outline_profile(labels, points, box, profile)
+    surface_shape(labels, points, (range_m, amplitude), sums, box, surface)
     _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut, nearest_m)
     return True
 

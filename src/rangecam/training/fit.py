@@ -4,31 +4,31 @@ from typing import Any
 
 import numpy as np
 
-from rangecam.classify.learned import Model, probabilities
+from rangecam.classify.learned import Model, compact, probabilities
 from rangecam.errors import UsageError
 from rangecam.training.examples import Examples
 from rangecam.types import CLASSES, Floats, Ints
 
-_ROUNDS = 150
 _LEAVES = 12
 _RATE = 0.1
 _VALIDATION = 4  # each fourth drive is kept until the temperature is found
 
 
-def fit(examples: Examples, seed: int) -> Model:
-    """Return the model of these examples; its temperature is that of trees which have not seen each fourth drive.
+def fit(examples: Examples, seed: int, rounds: int) -> Model:
+    """Return the model of these examples, of so many rounds of three trees.
 
-    All classes and all kinds of things weigh alike, however many pixels and frames there are of them. Raises UsageError
-    if a class is missing, or scikit-learn is.
+    Its temperature is that of trees which have not seen each fourth drive. All classes and all kinds of
+    things weigh alike, however many pixels and frames there are of them. Raises UsageError if a class is missing, or
+    scikit-learn is.
     """
     missing = {1, 2, 3} - set(examples.classes.tolist())
     if missing:
         raise UsageError(f"no example of {', '.join(CLASSES[k] for k in sorted(missing))}: simulate more drives")
     held = examples.drives % _VALIDATION == 0
     weights = _weights(examples)
-    grown = _grow(examples.features[~held], examples.classes[~held] - 1, weights[~held], seed)
+    grown = _grow(examples.features[~held], examples.classes[~held] - 1, weights[~held], seed, rounds)
     temperature = _temperature(_taken_out(grown), examples.features[held], examples.classes[held] - 1, weights[held])
-    model = _taken_out(_grow(examples.features, examples.classes - 1, weights, seed))
+    model = _taken_out(_grow(examples.features, examples.classes - 1, weights, seed, rounds))
     return Model(**{**vars(model), "temperature": temperature})
 
 
@@ -42,14 +42,14 @@ def _weights(examples: Examples) -> Floats:
     return balanced
 
 
-def _grow(features: Floats, classes: Ints, weights: Floats, seed: int) -> Any:
+def _grow(features: Floats, classes: Ints, weights: Floats, seed: int, rounds: int) -> Any:
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
         from threadpoolctl import threadpool_limits  # which scikit-learn brings along
     except ImportError as error:
         raise UsageError("training needs scikit-learn: pip install 'rangecam[train]'") from error
     grower = HistGradientBoostingClassifier(
-        max_iter=_ROUNDS,
+        max_iter=rounds,
         max_leaf_nodes=_LEAVES,
         learning_rate=_RATE,
         min_samples_leaf=30,
@@ -69,7 +69,7 @@ def _taken_out(grown: Any) -> Model:
     nodes = np.concatenate(trees)
     start = np.repeat(roots[:-1], np.diff(roots))
     leaf = nodes["is_leaf"].astype(bool)
-    return Model(
+    found = Model(
         feature=np.where(leaf, -1, nodes["feature_idx"]),
         threshold=np.where(leaf, 0.0, nodes["num_threshold"]),
         left=np.where(leaf, 0, nodes["left"] + start),
@@ -79,6 +79,7 @@ def _taken_out(grown: Any) -> Model:
         base=grown._baseline_prediction.ravel().astype(float),
         temperature=1.0,
     )
+    return compact(found)
 
 
 def _temperature(model: Model, features: Floats, classes: Ints, weights: Floats) -> float:

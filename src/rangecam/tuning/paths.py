@@ -106,8 +106,8 @@ def _part(segments: Segments, which: Any) -> Segments:
 
 
 def _measured(segments: Segments) -> dict[str, Any]:
-    """Return the fields of segments, without the profile of their outlines: no filter asks for it."""
-    return {key: array for key, array in vars(segments).items() if key != "profile"}
+    """Return the fields of segments, without profile and surface: no filter asks for them."""
+    return {key: array for key, array in vars(segments).items() if key not in ("profile", "surface")}
 
 
 def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
