@@ -280,7 +280,7 @@ def _bounds(seen: Seen, pieces: list[int] | tuple[int, ...]) -> tuple[Floats, Fl
 
 def _joined(seen: Seen, pieces: tuple[int, ...]) -> tuple[object, ...]:
     """Return one segment of several, its label that of the largest."""
-    label, position, covariance, _, near, pixels, box, range_m, amplitude, sigma, cut = (
+    label, position, covariance, _, near, pixels, box, range_m, amplitude, sigma, cut, ends = (
         each[list(pieces)] for each in seen
     )
     count = np.maximum(pixels, 1)
@@ -298,4 +298,5 @@ def _joined(seen: Seen, pieces: tuple[int, ...]) -> tuple[object, ...]:
         weight @ amplitude,
         math.sqrt(float(weight**2 @ sigma**2)),
         np.bitwise_or.reduce(cut),
+        np.array([ends[:, 0].max(), ends[:, 1].min()]),
     )

@@ -155,6 +155,22 @@ def test_objects_at_one_distance_become_one_in_the_histogram_alone():
     assert number == {**dict.fromkeys(SEGMENTATION, 2), "range_histogram": 1}
 
 
+def test_the_histogram_keeps_things_apart_that_stand_farther_apart_than_its_gap():
+    columns, rows = np.broadcast_to(np.arange(80), SHAPE), np.arange(60)[:, None]
+    left, middle, right = (columns < 25) & (rows >= 0), (columns == 40) & (rows < 4), (columns > 54) & (rows < 20)
+    source = image(at_depth(4.0), why=np.where(left | middle | right, 0, Why.NO_SIGNAL))
+    pixel_m = 2 * np.tan(np.radians(25)) * 4.0 / 80
+    for gap, labels in (
+        (14.5, (1, 2, 3)),
+        (15.5, (1, 2, 2)),
+        (16.5, (1, 1, 1)),
+    ):  # 16 and 15 columns from one to the next
+        found = labels_of(source, "range_histogram", max_gap_m=gap * pixel_m, min_pixels=1)
+        assert_array_equal(found, labels[0] * left + labels[1] * middle + labels[2] * right)
+    found = labels_of(source, "range_histogram", max_gap_m=14.5 * pixel_m, min_pixels=10)
+    assert_array_equal(found, 1 * left + 2 * right)  # what is too small is background
+
+
 def test_an_object_on_the_border_of_two_slices_is_cut_there():
     source = image(at_depth(4.0) + 0.05 * np.random.default_rng(3).standard_normal(SHAPE), 0.05)
     assert labels_of(source, "connected_slices", slice_m=0.5, min_pixels=1).max() > 1

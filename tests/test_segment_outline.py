@@ -57,6 +57,28 @@ def test_a_border_that_is_discarded_is_the_edge_of_the_image(edge):
     assert segment(labels, source).cut == edge
 
 
+@pytest.mark.parametrize(("columns", "beside", "edge"), [((10, 30), 9, Cut.LEFT), ((30, 50), 50, Cut.RIGHT)])
+def test_what_goes_on_outside_the_area_of_interest_is_cut_there(columns, beside, edge):
+    for rows, depth_m, cut in ((10, 0.0, edge), (4, 0.0, 0), (10, 1.0, 0)):  # all of its side, less than half; a step
+        source, labels = wall(), block(slice(10, 20), slice(*columns))
+        source.why[10 : 10 + rows, beside] = Why.OUTSIDE_AREA
+        source.why[10 + rows : 20, beside] = Why.LOW_AMPLITUDE
+        source.range_m[10 : 10 + rows, beside] += depth_m
+        assert segment(labels, source).cut == cut
+
+
+@pytest.mark.parametrize("columns", [(10, 30), (30, 50), (20, 21)])
+def test_a_segment_ends_where_its_outermost_pixels_do_whatever_their_own_ranges_are(columns):
+    edges = np.tan(np.radians(25)) * (1 - np.array(columns) / 30) * 5.0
+    pixel_m = 2 * np.tan(np.radians(25)) * 5.0 / 60
+    whole = columns[1] - columns[0] > 1
+    source, labels = wall(), block(slice(10, 20), slice(*columns))
+    if whole:
+        source.range_m[10:20, columns[0]] -= 0.6  # it sees something nearer, too
+    found = segment(labels, source)
+    assert_allclose(found.ends_m, edges if whole else edges.mean(), atol=0.15 * pixel_m)  # as far, not as deep
+
+
 def behind(step_m, reason=Why.VALID, gap=0, sigma_m=0.01):
     """Return a plate at 5 m whose right part stands behind something nearer by a step; gap: flying pixels between."""
     source, labels = wall(sigma_m=sigma_m), block(slice(10, 20), slice(20, 40))

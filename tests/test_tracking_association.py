@@ -20,7 +20,7 @@ from rangecam.tracking.shape import first_memory, pair_shapes, shapes
 from rangecam.tracking.update import _seen_in
 from rangecam.types import CLASSES, MEMORY, Cut, Ego, Segments, Tracks, TrackStatus
 
-PLAIN = TrackingSettings(position_sigma_m=0.0, extent_sigma=0.0)
+PLAIN = TrackingSettings(position_sigma_m=0.0, extent_sigma=0.0, end_sigma_m=0.03)
 GROUP, NOISE = MEMORY.index("merged"), MEMORY.index("process_noise")
 
 
@@ -222,12 +222,22 @@ def test_two_who_meet_walk_together_and_part_keep_their_identities() -> None:
     together = steps[60]
     assert together.status.tolist() == [TrackStatus.COASTING] * 2
     assert (together.memory[:, GROUP] == 1).all()  # type: ignore[index]
+    assert (together.hits == together.age).all()  # whoever is seen together with another is seen
     np.testing.assert_allclose(together.state[:, 3], [-0.24, 0.24], atol=0.08)
     last = steps[-1]
     assert last.track_id.tolist() == [1, 2]
     np.testing.assert_allclose(last.state[:, 3], [-1.1, 1.1], atol=0.1)
     np.testing.assert_allclose(last.size_m[:, 1], [0.6, 0.4], atol=0.05)
     assert (last.memory[:, GROUP] == 0).all()  # type: ignore[index]
+
+
+def test_the_pixels_of_what_is_not_seen_are_those_that_it_would_have_where_it_is_now() -> None:
+    near = follow([seen([8.0 - 0.2 * k, 0, 0.9]) for k in range(10)] + [NOTHING] * 8)
+    before, after = near[9], near[-1]
+    assert after.status[0] == TrackStatus.COASTING
+    away = [float(np.linalg.norm(step.state[0, ::3])) for step in (before, after)]
+    assert after.n_pixels[0] == pytest.approx(before.n_pixels[0] * (away[0] / away[1]) ** 2)
+    assert after.n_pixels[0] > 1.3 * before.n_pixels[0]
 
 
 def test_without_recognition_the_same_meeting_loses_one_of_them() -> None:
@@ -451,7 +461,7 @@ def test_an_edge_that_is_seen_first_does_not_move_with_what_hides_the_rest(side:
     known, blind = peeping(side, expecting, cut), peeping(side, PLAIN, cut)
     assert abs(known.state[0, 3]) < 0.03
     assert abs(known.state[0, 4]) < 0.1
-    assert side * blind.state[0, 4] < -0.2  # its centre moves as the rest comes into sight
+    assert abs(blind.state[0, 4]) < 0.1  # though its centre moves as the rest comes into sight
     first = peeping(side, expecting, cut, 1)
     assert first.memory is not None
     np.testing.assert_allclose(np.exp(first.memory[0, 0]), 0.5)
@@ -459,6 +469,51 @@ def test_an_edge_that_is_seen_first_does_not_move_with_what_hides_the_rest(side:
     both = peeping(side, expecting, HIDDEN_LEFT | HIDDEN_RIGHT, 1)
     assert both.state[0, 3] == pytest.approx(side * 0.2)  # on either side there may be more
     assert both.covariance[0, 3, 3] > (0.29 * 0.4) ** 2
+
+
+def coming(mps: float, side: float, noise_m: float = 0.0, seed: int = 0, count: int = 24) -> list[Tracks]:
+    """Something 0.4 m wide that comes from one side, cut by the edge of what is looked at, 1 m aside, and then whole.
+
+    noise_m: standard deviation of where it ends.
+    """
+    rng, frames = np.random.default_rng(seed), []
+    for k in range(count):
+        end = 0.9 - mps * k * 0.05 + rng.normal(0, noise_m)
+        far = min(end + 0.4, 1.0)
+        cut = int(Cut.LEFT if side > 0 else Cut.RIGHT) if end + 0.4 > 1.0 else 0
+        frames.append(seen([6.0, side * (end + far) / 2, 0.9], width=far - end, cut=cut))
+    return follow(frames, PLAIN)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_comes_into_sight_is_as_fast_as_its_leading_end_and_goes_on_so_when_all_of_it_is_seen(side: float) -> None:
+    steps = coming(0.5, side)
+    speeds = np.array([-side * step.state[0, 4] for step in steps])
+    assert abs(speeds[4:] - 0.5).max() < 0.06  # its centre moves at half that speed while it is cut
+    assert [len(step) for step in steps] == [1] * len(steps)
+    memory = steps[-1].memory
+    assert memory is not None
+    assert memory[0, MEMORY.index("placed_side")] == 0
+    assert memory[0, MEMORY.index("placed_width")] == pytest.approx(0.4, abs=0.02)
+    cut = steps[2].memory
+    assert cut is not None
+    assert cut[0, MEMORY.index("placed_side")] == side
+
+
+def test_the_speed_of_what_comes_into_sight_is_as_uncertain_as_it_says() -> None:
+    errors = []
+    for seed in range(60):
+        step = coming(0.5, 1.0, noise_m=0.05, seed=seed, count=6)[-1]
+        errors.append((step.state[0, 4] + 0.5) / np.sqrt(step.covariance[0, 4, 4]))
+    assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.2  # its process noise is not there
+
+
+def test_the_filter_of_several_modes_follows_an_end_as_one_does() -> None:
+    both = dataclasses.replace(PLAIN, motion=MotionSettings(modes=(PLAIN.motion, PLAIN.motion)))
+    frames = [seen([6.0, 0.9 - 0.02 * k, 0.9], width=0.1 + 0.02 * k, cut=int(Cut.LEFT)) for k in range(6)]
+    one, two = follow(frames, PLAIN)[-1], follow(frames, both)[-1]
+    np.testing.assert_allclose(two.state, one.state, atol=1e-9)
+    np.testing.assert_allclose(two.covariance, one.covariance, atol=1e-9)
 
 
 def test_what_is_seen_whole_or_wider_than_expected_is_as_wide_as_it_is_seen() -> None:

@@ -36,6 +36,7 @@ def scene(rng: np.random.Generator, n: int, m: int, room_m: float) -> Scene:
         *(np.stack([0 * columns, columns, 20 + columns, 9 + columns], axis=1), rng.uniform(6, 8, m)),
         *(rng.uniform(5, 50, m), rng.uniform(0.01, 0.1, m), rng.choice([0, 0, 1, 2, 16], m).astype(np.uint8)),
     )
+    seen = (*seen, seen[1][:, 1:2] + seen[3][:, 1:2] * [0.5, -0.5])
     if m and rng.random() < 0.1:
         seen[1][rng.integers(m), 0] = np.nan
     took, free = np.full(n, -1), rng.permutation(np.flatnonzero(np.isfinite(seen[1]).all(axis=1)))

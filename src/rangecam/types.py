@@ -133,7 +133,7 @@ class Cut(IntFlag):
     """What cuts a segment short, so that its extent is more than what is seen of it; bits, zero for nothing."""
 
     LEFT = 1
-    """Touches the left edge of the image, ..."""
+    """Touches the left edge of the image, or of the area of interest, ..."""
     RIGHT = 2
     """... the right one, ..."""
     TOP = 4
@@ -166,6 +166,7 @@ class Segment:
     nearest_m: Floats
     profile: Floats | None = None
     surface: Floats | None = None
+    ends_m: Floats | None = None
 
 
 PROFILE_BANDS = 4
@@ -192,6 +193,7 @@ class Segments(Rows):
         row, as a share of the box's width; the share of the band that it fills; how much farther away it is than as a
         whole, along the ground (m). None where nobody measured it.
     surface (N, 8): how its surface is bent, see `SURFACE`. None where nobody measured it.
+    ends_m (N, 2): y of its left and its right end, mean over its rows. None where nobody measured them.
     """
 
     label: Ints
@@ -208,6 +210,7 @@ class Segments(Rows):
     nearest_m: Floats
     profile: Floats | None = None
     surface: Floats | None = None
+    ends_m: Floats | None = None
 
     def __getitem__(self, i: int) -> Segment:
         return Segment(
@@ -225,6 +228,7 @@ class Segments(Rows):
             self.nearest_m[i],
             None if self.profile is None else self.profile[i],
             None if self.surface is None else self.surface[i],
+            None if self.ends_m is None else self.ends_m[i],
         )
 
     def __iter__(self) -> Iterator[Segment]:
@@ -252,11 +256,12 @@ STATE = ("x", "vx", "ax", "y", "vy", "ay", "z", "vz", "az")
 """Order of the state vector (K-KAL-01): m, m/s, m/s2 in vehicle axes."""
 MEMORY = (
     *("log_width", "log_height", "log_fill", "log_width_variance", "log_height_variance", "log_fill_variance"),
-    *("reliability", "process_noise", "placed_width", "merged", "parts"),
+    *("reliability", "process_noise", "placed_width", "placed_side", "merged", "parts"),
 )
 """Columns of `Tracks.memory`: running mean and variance of the logarithms of width (m), height (m) and fill (pixels
 times squared range over width and height), running mean of amplitude over sigma of the range (per m), factor of the
-process noise, running mean of the width whose middle the position is (m), number of the group that is seen as one
+process noise, running mean of the width whose middle the position is (m), side at which it was cut when it was placed
+by its other end (1 left, -1 right, 0: by its middle), number of the group that is seen as one
 segment (0: none), frames in a row in which it was seen in parts."""
 POSITION, VELOCITY, ACCELERATION = [0, 3, 6], [1, 4, 7], [2, 5, 8]
 CLASSES = ("unknown", "vru", "vehicle", "obstacle")
@@ -340,7 +345,7 @@ class Tracks(Rows):
     nis (N,): normalised innovation squared of the last update (3 degrees of freedom), NaN where there was none.
     mode_probability (N, K), mode_state (N, K, 9), mode_covariance (N, K, 9, 9): the K modes of an interacting multiple
         model, of which state and covariance are the mean; K = 0 where one motion model does.
-    memory (N, 11): what only the tracker needs, see `MEMORY`; None where it has not seen the tracks yet.
+    memory (N, 12): what only the tracker needs, see `MEMORY`; None where it has not seen the tracks yet.
     ego: own motion that the velocities are relative to; None before the first frame.
     refused: `Refused`. ignored: segments of the last frame whose position or covariance was not finite.
     """

@@ -20,8 +20,8 @@ def range_histogram(image: RangeImage, points: Floats, settings: SegmentSettings
 
     The histogram is smoothed, minima and very small bins are possible borders, and borders must keep objects with
     enough pixels, a high enough peak and clear, similar minima apart (Steinbäck 2016, 3.5.3, 4.5.3, eq 2.13; eq 2.14
-    corrected, E-S-11). Objects at the same distance become one (S-SEG-04). Raises DataError if the distances spread
-    over more than `MAX_BINS` bins.
+    corrected, E-S-11). Objects at the same distance become one (S-SEG-04), unless a gap of `max_gap_m` across is
+    between them. Raises DataError if the distances spread over more than `MAX_BINS` bins.
     """
     distance = points[..., 0] if settings.histogram_of == "depth" else image.range_m
     labels, values = np.zeros(image.shape, np.int32), np.empty(distance.size, np.float32)
@@ -36,6 +36,8 @@ def range_histogram(image: RangeImage, points: Floats, settings: SegmentSettings
             f"at most {MAX_BINS}: check the data, or set segments.bin_width_m"
         )
     _label(values, places, number, low, bins, _criteria(settings), labels)
+    if settings.max_gap_m is not None:
+        _part(labels, np.ascontiguousarray(points, np.float32), settings.max_gap_m, settings.min_pixels)
     return labels
 
 
@@ -80,6 +82,39 @@ def _label(values: Any, places: Any, number: Any, low: Any, bins: Any, criteria:
     _divide(counts, criteria, label_of_bin)
     for i in range(number):
         flat[places[i]] = label_of_bin[bin_of[i]]
+
+
+@njit(cache=True, nogil=True)
+def _part(labels: Any, points: Any, gap_m: float, min_pixels: int) -> None:
+    """Give what lies beside each other, farther apart than the gap, labels of its own, from left to right, in place."""
+    height, width = labels.shape
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            count = max(count, labels[row, column])
+    most, least = np.full((count + 1, width), -np.inf), np.full((count + 1, width), np.inf)
+    pixels, part = np.zeros((count + 1, width), np.int64), np.zeros((count + 1, width), np.int32)
+    for row in range(height):
+        for column in range(width):
+            label, y = labels[row, column], points[row, column, 1]
+            if label > 0:
+                pixels[label, column] += 1
+                most[label, column], least[label, column] = max(most[label, column], y), min(least[label, column], y)
+    number = 0
+    for label in range(1, count + 1):
+        first, end, total = 0, np.inf, 0
+        for column in range(width + 1):
+            parted = column == width or (pixels[label, column] > 0 and most[label, column] < end - gap_m)
+            if parted and total > 0:
+                number += total >= min_pixels
+                part[label, first:column] = number if total >= min_pixels else 0
+            if parted:
+                first, end, total = column, np.inf, 0
+            if column < width and pixels[label, column] > 0:
+                end, total = min(end, least[label, column]), total + pixels[label, column]
+    for row in range(height):
+        for column in range(width):
+            labels[row, column] = part[labels[row, column], column]
 
 
 @njit(cache=True, nogil=True)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from rangecam.compiled import kernel
 from rangecam.geometry import Lens, Mounting, is_plain, pixel_pitch, pixel_steps, point_covariance, position, rotation
 from rangecam.segmentation.outline import cut_short
 from rangecam.segmentation.profile import outline_profile
@@ -35,10 +36,10 @@ def measure_segments(
     planes = range_m, sigma_m, np.ascontiguousarray(image.amplitude, np.float32)
     position_m, size_m, sigmas = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
-    nearest_m, cut = np.empty((count, 3)), np.empty(count, np.uint8)
+    nearest_m, cut, ends_m = np.empty((count, 3)), np.empty(count, np.uint8), np.empty((count, 2))
     profile, surface = np.empty((count, 3, PROFILE_BANDS)), np.empty((count, len(SURFACE)))
     known, angles = _known(lens, mounting, shape, settings), _angles(lens, shape)
-    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut, profile, surface
+    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut, ends_m, profile, surface
     if not _measure(labels, np.ascontiguousarray(points), *planes, why, known, angles, *filled):
         return _without_holes(labels, points, image, lens, mounting, settings)
     return Segments(
@@ -56,6 +57,7 @@ def measure_segments(
         nearest_m=nearest_m,
         profile=profile,
         surface=surface,
+        ends_m=ends_m,
     )
 
 
@@ -107,7 +109,7 @@ def _number(labels: Ints) -> int:
     return int(most)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _measure(
     labels: Any,
     points: Any,
@@ -125,17 +127,19 @@ def _measure(
     box: Any,
     nearest_m: Any,
     cut: Any,
+    ends_m: Any,
     profile: Any,
     surface: Any,
 ) -> Any:
-    """Fill the ten last arrays, means: range and amplitude; return False if a point is not finite or missing."""
+    """Fill the eleven last arrays, means: range and amplitude; return False if a point is not finite or missing."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
     for k in range(len(sums)):
         if not math.isfinite(sums[k, :9].sum()):  # an amplitude may be missing
             return False
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
-    cut_short(labels, points, (range_m, sigma_m, why), box, bounds, (known[11], known[20], known[21], known[22]), cut)
+    hides = known[11], known[20], known[21], known[22], known[10]
+    cut_short(labels, points, (range_m, sigma_m, why), box, bounds, hides, cut, ends_m)
     outline_profile(labels, points, box, profile)
     surface_shape(labels, points, (range_m, amplitude), sums, box, surface)
     _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut, nearest_m)

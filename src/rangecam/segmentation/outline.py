@@ -1,4 +1,4 @@
-"""What cuts a segment short: the edge of the image, or something nearer in front of it."""
+"""What cuts a segment short: the edge of the image or of the area of interest, or something nearer in front of it."""
 
 import math
 from typing import Any
@@ -9,19 +9,22 @@ from rangecam.types import Cut, Why
 
 
 @njit(cache=True, nogil=True)
-def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limits: Any, cut: Any) -> None:
-    """Write the bits of `Cut` of each segment: (N,) uint8; a kernel.
+def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limits: Any, cut: Any, ends: Any) -> None:
+    """Write the bits of `Cut` of each segment: (N,) uint8, and where it ends at its sides: (N, 2) y in m; a kernel.
 
     planes: range, sigma, why (H, W); box (N, 4) of each segment, bounds (N, 6) of its points; limits: height of the
-    camera (m), what `SegmentSettings.occluder_*` say. The outline of a segment is the first and last of its pixels in
-    each row and each column of its box. It touches an edge of the image where nothing, or only the discarded border,
-    or one last pixel that measured nothing, lies beyond it. It is occluded where the first pixel beyond it that has a
-    range (of at most three: flying pixels lie between) is nearer by more than a step and the noise; the part of the
-    outline for which this holds must be more than a few stray pixels. The floor in front of an object is nearer too: a
-    point below the lowest of the segment, on a ray that goes down, is no occluder.
+    camera (m), what `SegmentSettings.occluder_*` say, y of the camera. The outline of a segment is the first and last
+    of its pixels in each row and each column of its box. It touches an edge of the image where nothing, or only the
+    discarded border, or one last pixel that measured nothing, lies beyond it. So it does where most of its left or
+    right side goes on outside the area of interest, without a step in range that could hide the end of it. It is
+    occluded where the first pixel beyond it that has a range (of at most three: flying pixels lie between) is nearer by
+    more than a step and the noise; the part of the outline for which this holds must be more than a few stray pixels.
+    The floor in front of an object is nearer too: a point below the lowest of the segment, on a ray that goes down, is
+    no occluder. The ends are means over the rows.
     """
     height, width = labels.shape
-    flat, z, why = labels.reshape(-1), points.reshape(-1)[2::3], planes[2].reshape(-1)
+    flat, why = labels.reshape(-1), planes[2].reshape(-1)
+    y, z = points.reshape(-1)[1::3], points.reshape(-1)[2::3]
     ranges = planes[0].reshape(-1), planes[1].reshape(-1)
     for k in range(len(box)):
         outline, occluded, bits, beside = 0, 0, 0, 0
@@ -33,28 +36,54 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
             start = start + depth - 1 if from_end else start
             room = size - 1 - start if from_end else start  # pixels between the box and the edge of the image
             inward = -step if from_end else step
-            seen, hidden = outline, occluded
+            seen, hidden, goes_on, aside_m = outline, occluded, 0, 0.0
             for line in range(first, first + lines):
                 pixel, walked = line * line_step + start * step, 0
                 while walked < depth and flat[pixel] != k + 1:
                     pixel, walked = pixel + inward, walked + 1
                 if walked < depth:
                     outline += 1
+                    inner = pixel + inward if walked + 1 < depth and flat[pixel + inward] == k + 1 else pixel
+                    aside_m += _end(y, ranges[0], pixel, inner, limits[4]) if across else 0.0
                     beyond = why[pixel - inward] if room + walked > 0 else _BORDER
                     unknown = beyond not in (0, _OUTSIDE, _FLOOR)
                     if beyond == _BORDER or (room + walked == 1 and unknown):
                         bits |= 1 << side
+                    elif across and beyond == _OUTSIDE and _goes_on(ranges, pixel, pixel - inward, limits):
+                        goes_on += 1
                     else:
                         far = min(room + walked, _FAR)
                         occluded += _hidden(flat, z, ranges, why, pixel, -inward, far, bounds[k, 2], limits)
             if across and 2 * (occluded - hidden) > outline - seen:
                 beside |= _HIDDEN_RIGHT if from_end else _HIDDEN_LEFT
+            if across:
+                ends[k, side] = aside_m / (outline - seen)
+            if 2 * goes_on > outline - seen:
+                bits |= 1 << side
         cut[k] = bits | _OCCLUDED | beside if occluded > max(1.0, limits[3] * outline) else bits
 
 
 _OCCLUDED, _HIDDEN_LEFT, _HIDDEN_RIGHT = int(Cut.OCCLUDED), int(Cut.HIDDEN_LEFT), int(Cut.HIDDEN_RIGHT)
 _BORDER, _OUTSIDE, _FLOOR = int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
 _FAR = 3  # pixels beyond the outline that are looked at
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _end(y: Any, range_m: Any, outer: int, inner: int, camera_y: float) -> float:
+    """Return y of the end of a row in the direction of its last pixel and half of one more, as far as the one before.
+
+    The last pixel sees something else as well, so that its own range is of neither.
+    """
+    there = camera_y + (y[outer] - camera_y) * range_m[inner] / range_m[outer]
+    return float(there + (there - y[inner]) / 2)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _goes_on(ranges: Any, pixel: int, other: int, limits: Any) -> bool:
+    """Return whether two neighbouring pixels may show the same surface."""
+    range_m, sigma_m = ranges
+    noise = math.sqrt(sigma_m[pixel] ** 2 + sigma_m[other] ** 2)
+    return bool(abs(range_m[pixel] - range_m[other]) <= limits[1] + limits[2] * noise)
 
 
 @njit(cache=True, nogil=True, forceinline=True)

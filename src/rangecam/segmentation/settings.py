@@ -52,6 +52,9 @@ class SegmentSettings:
     """Histogram: the minima on both sides of an object may differ by at most this fraction of its peak."""
     small_bin: NonNegative = 0.5
     """Histogram: bins with at most so many (smoothed) pixels belong to no object and are borders."""
+    max_gap_m: Positive | None = None
+    """Histogram: what is as far away, but farther apart beside each other than this, is two objects; none: one, however
+    far apart (the thesis)."""
     sigma_pixel: NonNegative = 0.015
     """Standard deviation of a centroid's image position that no number of pixels makes smaller, pixels."""
     edge_jitter: NonNegative = 0.3

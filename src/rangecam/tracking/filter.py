@@ -6,10 +6,12 @@ import numpy as np
 
 from rangecam.compiled import kernel
 from rangecam.tracking.association import NO_PAIR
+from rangecam.tracking.sighting import aside, grows
 from rangecam.types import Floats, Ints
 
-Measured = tuple[Floats, Floats, float, Ints, Floats]
-"""Positions and R of the segments, variance of the time, their pixels; `sighting.wander` of the tracks."""
+Measured = tuple[Floats, Floats, float, Ints, Floats, Floats, Floats, float]
+"""Positions and R of the segments, variance of the time, their pixels, `sighting.ends`; memory of the tracks,
+`sighting.wander`; weight of a new width."""
 Symmetric = tuple[float, float, float, float, float, float]
 """The upper half of a (3, 3), row by row, as numbers in registers: arrays would take longer than what is computed."""
 
@@ -20,10 +22,12 @@ def gate_pairs(x: Floats, P: Floats, measured: Measured, gate: float, euclidean:
 
     euclidean: variance of each axis in place of the innovation covariance (eq 6.13), 0 for Mahalanobis' distance.
     """
-    z, R, time_variance, _, wander = measured
+    position, R, time_variance = measured[:3]
+    z, wander = np.empty(3), np.empty(3)
     for i in range(cost.shape[0] if euclidean > 0 else 0):
         for j in range(cost.shape[1]):
-            square = (z[j, 0] - x[i, 0]) ** 2 + (z[j, 1] - x[i, 3]) ** 2 + (z[j, 2] - x[i, 6]) ** 2
+            aim(measured, i, j, z, wander)
+            square = (z[0] - x[i, 0]) ** 2 + (z[1] - x[i, 3]) ** 2 + (z[2] - x[i, 6]) ** 2
             inside = square <= gate * euclidean and math.isfinite(R[j, 0, 0] + R[j, 1, 1] + R[j, 2, 2])
             cost[i, j] = square / euclidean + 3 * math.log(euclidean) if inside else NO_PAIR
     if euclidean > 0:
@@ -31,15 +35,33 @@ def gate_pairs(x: Floats, P: Floats, measured: Measured, gate: float, euclidean:
     for i in range(cost.shape[0]):
         for j in range(cost.shape[1]):
             cost[i, j] = NO_PAIR
-            for a in range(3):
-                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2 + wander[i, a]
-                if not (z[j, a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:  # or not a number
+            variance = P[i, 0, 0] + R[j, 0, 0] + time_variance * x[i, 1] ** 2 + measured[6][i, 0]
+            if not (position[j, 0] - x[i, 0]) ** 2 <= gate * variance < math.inf:  # or not a number
+                continue
+            wander[1] = aim(measured, i, j, z, wander) + wander[1]
+            for a in range(1, 3):
+                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2 + wander[a]
+                if not (z[a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:
                     break
             else:
-                V, det = inverse(innovation_covariance(x[i], P[i], R[j], time_variance, wander[i]))
-                d2 = squared_distance(x[i], V, z[j])
+                V, det = inverse(innovation_covariance(x[i], P[i], R[j], time_variance, wander))
+                d2 = squared_distance(x[i], V, z)
                 if det > 0 and d2 <= gate:
                     cost[i, j] = d2 + math.log(det)
+
+
+@kernel
+def aim(measured: Measured, i: int, j: int, z: Floats, wander: Floats) -> float:
+    """Write position and `wander` (3,) as track i has them if segment j is its own; return by how much y is less known.
+
+    They are those of the segment and of the track, but for what is placed by one end (`sighting.aside`).
+    """
+    for a in range(3):
+        z[a], wander[a] = measured[0][j, a], measured[6][i, a]
+    y, wander[1], less = aside(measured[4][j], measured[5][i], wander[1], measured[7])
+    if not math.isnan(y):
+        z[1] = y
+    return less
 
 
 @kernel
@@ -70,27 +92,28 @@ def update(
     took (N,): index of the segment, -1 for none; weights (N, M): probability of each segment for the tracks that take
     several.
     """
-    W = np.empty((3, 9))
+    W, z, wander = np.empty((3, 9)), np.empty(3), np.empty(3)
     for i in range(took.size):
         j, nis[i] = took[i], np.nan
         if weights is not None and any_of(weights[i]):
-            _blend(state[i], covariance[i], weights[i], measured, measured[4][i])
+            _blend(state[i], covariance[i], weights[i], measured, i)
             continue
         if j >= 0:
-            z, R, wander = measured[0][j], measured[1][j], measured[4][i]
-            squared, _ = correct(state[i], covariance[i], z, R, measured[2], wander, W)
+            covariance[i, 3, 3] += aim(measured, i, j, z, wander)
+            squared, _ = correct(state[i], covariance[i], z, measured[1][j], measured[2], wander, W)
+            state[i, 3] += grows(measured[4][j], measured[5][i], measured[7])
             if measured[3][j] > 0:
                 nis[i] = squared
 
 
 @kernel
-def _blend(x: Floats, P: Floats, weights: Floats, measured: Measured, wander: Floats) -> None:
-    """Update one track (9,), (9, 9) by several segments: mean and covariance of the mixture of their updates.
+def _blend(x: Floats, P: Floats, weights: Floats, measured: Measured, i: int) -> None:
+    """Update track i (9,), (9, 9) by several segments: mean and covariance of the mixture of their updates.
 
     Each segment has a covariance of its own, so there is no one gain as in Bar-Shalom's form of the update, with which
     this agrees where all are alike; the spread of the innovations is that of the updated means.
     """
-    n, m, W = weights.size, 1, np.empty((3, 9))
+    n, m, W, z, wander = weights.size, 1, np.empty((3, 9)), np.empty(3), np.empty(3)
     for j in range(n):
         m += weights[j] > 0
     share, states, covariances = np.empty(m), np.empty((m, 9)), np.empty((m, 9, 9))
@@ -101,7 +124,8 @@ def _blend(x: Floats, P: Floats, weights: Floats, measured: Measured, wander: Fl
             share[m] = weights[j]
             share[0] = max(share[0] - weights[j], 0.0)
             copy(x, P, states[m], covariances[m])
-            correct(states[m], covariances[m], measured[0][j], measured[1][j], measured[2], wander, W)
+            covariances[m, 3, 3] += aim(measured, i, j, z, wander)
+            correct(states[m], covariances[m], z, measured[1][j], measured[2], wander, W)
             m += 1
     mixture(share, states, covariances, x, P)
 

@@ -1,7 +1,7 @@
 """Merges and splits (K-FUT-06): one segment of several tracks, and one track's segment in several parts."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,8 @@ def _hold(state: State, shown: Shown, mates: Ints, segment: Ints, whole: Seen, g
 
 def _join(seen: Seen, pieces: Ints, whole: Seen, row: int) -> None:
     """Write one segment of several into the row of the largest, whose label it keeps."""
-    _, position, covariance, size, near, pixels, box, range_m, amplitude, sigma, cut = (each[pieces] for each in seen)
+    some: tuple[Any, ...] = tuple(each[pieces] for each in seen)
+    _, position, covariance, size, near, pixels, box, range_m, amplitude, sigma, cut, ends = some
     count = np.maximum(pixels, 1)
     weight = count / count.sum()
     low, high = (position - size / 2).min(axis=0), (position + size / 2).max(axis=0)
@@ -88,3 +89,4 @@ def _join(seen: Seen, pieces: Ints, whole: Seen, row: int) -> None:
     whole[6][row, :2], whole[6][row, 2:] = box[:, :2].min(axis=0), box[:, 2:].max(axis=0)
     whole[7][row], whole[8][row] = weight @ range_m, weight @ amplitude
     whole[9][row], whole[10][row] = math.sqrt(float(weight**2 @ sigma**2)), np.bitwise_or.reduce(cut)
+    whole[11][row] = ends[:, 0].max(), ends[:, 1].min()

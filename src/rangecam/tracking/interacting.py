@@ -7,6 +7,7 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.filter import (
     Measured,
+    aim,
     any_of,
     copy,
     correct,
@@ -17,6 +18,7 @@ from rangecam.tracking.filter import (
     squared_distance,
 )
 from rangecam.tracking.moving import predict, predict_turning, turning_room
+from rangecam.tracking.sighting import grows
 from rangecam.types import MEMORY, Floats, Ints
 
 _NOISE = MEMORY.index("process_noise")
@@ -75,20 +77,30 @@ def update_modes(
     Without a measurement the probabilities stay as the switching left them: nothing was seen that speaks for a mode.
     """
     (mu, modes, spreads), (x, P) = predicted, mean
-    W, likelihood = np.empty((3, 9)), np.empty(mu.shape[1])
+    W, likelihood, z, wander = np.empty((3, 9)), np.empty(mu.shape[1]), np.empty(3), np.empty(3)
     for i in range(took.size):
         nis[i] = np.nan
         several = False
         if weights is not None:
             several = any_of(weights[i])
             if several:
-                _blend_modes(mu[i], modes[i], spreads[i], weights[i], measured, measured[4][i])
+                _blend_modes(mu[i], modes[i], spreads[i], weights[i], measured, i)
         if took[i] >= 0 and not several:
-            z, R = measured[0][took[i]], measured[1][took[i]]
-            if measured[3][took[i]] > 0:
-                V, _ = inverse(innovation_covariance(x[i], P[i], R, measured[2], measured[4][i]))
+            j = took[i]
+            R, less, grown = (
+                measured[1][j],
+                aim(measured, i, j, z, wander),
+                grows(measured[4][j], measured[5][i], measured[7]),
+            )
+            P[i, 3, 3] += less
+            for k in range(mu.shape[1]):
+                spreads[i, k, 3, 3] += less
+            if measured[3][j] > 0:
+                V, _ = inverse(innovation_covariance(x[i], P[i], R, measured[2], wander))
                 nis[i] = squared_distance(x[i], V, z)
-            _correct_modes(mu[i], modes[i], spreads[i], z, R, measured[2], measured[4][i], W, likelihood)
+            _correct_modes(mu[i], modes[i], spreads[i], z, R, measured[2], wander, W, likelihood)
+            for k in range(mu.shape[1]):
+                modes[i, k, 3] += grown
         if several or took[i] >= 0:
             mixture(mu[i], modes[i], spreads[i], x[i], P[i])
 
@@ -118,15 +130,13 @@ def _correct_modes(
 
 
 @kernel
-def _blend_modes(
-    mu: Floats, modes: Floats, spreads: Floats, weights: Floats, measured: Measured, wander: Floats
-) -> None:
-    """Update one track's modes by several segments, each with the probability that it is the track's own.
+def _blend_modes(mu: Floats, modes: Floats, spreads: Floats, weights: Floats, measured: Measured, i: int) -> None:
+    """Update the modes of track i by several segments, each with the probability that it is the track's own.
 
     Under each segment the modes are those of the usual update; of a mode, the mixture over the segments has the weights
     P(segment) P(mode | segment).
     """
-    n, K, m, W = weights.size, mu.size, 1, np.empty((3, 9))
+    n, K, m, W, z, wander = weights.size, mu.size, 1, np.empty((3, 9)), np.empty(3), np.empty(3)
     rest = 1.0
     for j in range(n):
         m += weights[j] > 0
@@ -141,7 +151,10 @@ def _blend_modes(
             each[k] = mu[k]
             copy(modes[k], spreads[k], one[k], its[k])
         if j >= 0:
-            _correct_modes(each, one, its, measured[0][j], measured[1][j], measured[2], wander, W, likelihood)
+            less = aim(measured, i, j, z, wander)
+            for k in range(K):
+                its[k, 3, 3] += less
+            _correct_modes(each, one, its, z, measured[1][j], measured[2], wander, W, likelihood)
         for k in range(K):
             share[k, at] = each[k] * (weights[j] if j >= 0 else max(rest, 0.0))
             copy(one[k], its[k], states[k, at], covariances[k, at])

@@ -11,10 +11,10 @@ from rangecam.tracking.living import left_over
 from rangecam.tracking.rules import GONE, Seen
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import first_memory, shapes
-from rangecam.tracking.sighting import ACROSS, LEFT, RIGHT, complete, wander, widen
+from rangecam.tracking.sighting import ACROSS, complete, ends, wander
 from rangecam.types import CLASSES, MEMORY, Floats, Ints, Tracks, TrackStatus
 
-_WIDTH, _WIDTH_VARIANCE, _PLACED = (MEMORY.index(n) for n in ("log_width", "log_width_variance", "placed_width"))
+_WIDTH, _PLACED, _SIDE = (MEMORY.index(name) for name in ("log_width", "placed_width", "placed_side"))
 
 
 def delete(tracks: Tracks) -> Tracks:
@@ -31,19 +31,20 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     label, position, covariance, size, near, n_pixels = seen[:6]
     R, first = np.empty_like(covariance), np.empty_like(label)
     complete(covariance, size, seen[10], rules, R)
+    end = ends(covariance, (size, n_pixels, seen[10], seen[11]), rules, R)
     first = first[: left_over(took, position, covariance, size, first)]
     memory = first_memory(shapes(seen)[first], settings.shape_sigma)
-    position, R, width, cut = position[first], R[first], size[first, 1], seen[10][first]
-    missing = _missing(width, cut, memory, settings.cut_width_m)
-    if missing.any():
-        widen(position, R, width, cut, missing, memory[:, _WIDTH_VARIANCE], settings.cut_sigma**2)
+    end, cut = end[first], seen[10][first]
+    position, R = _whole((position[first], R[first], size[first, 1], cut), end, memory, settings)
     n, count = len(first), len(settings.motion.modes)
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))
     state[:, ::3] = position  # as `POSITION`, but a slice is quicker than a list
     P[:, range(9), range(9)] = (0.0, settings.speed_sigma_mps**2, settings.acceleration_sigma_mps2**2) * 3
     P[:, 6:] *= settings.motion.vertical_share**2
     P[:, ::3, ::3] = R
-    P[:, range(0, 9, 3), range(0, 9, 3)] += wander(memory, settings.outline_sigma**2)
+    restless = wander(memory, settings.outline_sigma**2)
+    restless[:, 1] *= end[:, 1] == 0  # as in `sighting.aside`
+    P[:, range(0, 9, 3), range(0, 9, 3)] += restless
     if settings.position_lasts_s > 0:
         P[:, range(0, 9, 3), range(0, 9, 3)] += settings.position_sigma_m**2
     unknown[:, CLASSES.index("unknown")] = 1.0
@@ -73,15 +74,26 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     return replace(together, next_id=tracks.next_id + n)
 
 
-def _missing(width: Floats, cut: Ints, memory: Floats, expected_m: float) -> Floats:
-    """Return how much wider (M,) than seen what is cut short is expected to be; the widths in `memory` become those."""
-    missing = np.where(cut & ACROSS != 0, np.maximum(expected_m - width, 0.0), 0.0)
-    wider = missing > 0
-    if wider.any():
-        whole, one_sided = width + missing, (cut & LEFT != 0) != (cut & RIGHT != 0)
-        memory[wider, _WIDTH] = np.log(whole[wider])
-        memory[wider & one_sided, _PLACED] = whole[wider & one_sided]
-    return missing
+def _whole(
+    seen: tuple[Floats, Floats, Floats, Ints], end: Floats, memory: Floats, settings: TrackingSettings
+) -> tuple[Floats, Floats]:
+    """Return position (M, 3) and covariance of what is cut short and may be wider, as `sighting.ends` places them.
+
+    seen: position, covariance, width and bits of `Cut`. Written, in `memory`: the widths and the side that is cut.
+    """
+    position, R, width, cut = seen
+    side = end[:, 1]
+    missing = np.where(cut & ACROSS != 0, np.maximum(settings.cut_width_m - width, 0.0), 0.0)
+    memory[:, _SIDE] = side
+    if not side.any() and not missing.any():
+        return position, R
+    placed = np.maximum(end[:, 2], settings.cut_width_m)
+    memory[missing > 0, _WIDTH] = np.log((width + missing)[missing > 0])
+    memory[:, _PLACED] = np.where(side != 0, placed, memory[:, _PLACED])
+    position, R = position.copy(), R.copy()
+    position[:, 1] = np.where(side != 0, end[:, 0] + side * placed / 2, position[:, 1])
+    R[:, 1, 1] += np.where(side == 0, settings.cut_sigma**2 * missing**2, 0.0)
+    return position, R
 
 
 def _map(function: Callable[..., Any], tracks: Tracks, *others: Tracks) -> Tracks:

@@ -10,16 +10,16 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.filter import largest
 from rangecam.tracking.rules import GONE
-from rangecam.tracking.sighting import ACROSS, UP, one_sided
+from rangecam.tracking.sighting import ACROSS, LEFT, UP, one_sided
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
-_RELIABILITY, _NOISE, _PLACED, _GROUP, _PARTS = (MEMORY.index(name) for name in MEMORY[6:])
+_RELIABILITY, _NOISE, _PLACED, _SIDE, _GROUP, _PARTS = (MEMORY.index(name) for name in MEMORY[6:])
 
 
 Before = tuple[Ints, Ints, Ints, Ints, Floats, Floats, Floats, Floats, Floats]
 """Of the tracks: status, age, hits, misses, size_m, near_offset_m, n_pixels, class_probability, memory."""
-_Shown = tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints]
+_Shown = tuple[Ints, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints, Floats]
 """`Seen` without the covariances."""
 
 
@@ -31,14 +31,15 @@ def live(
     rules: Floats,
     dt_s: float,
     took: Ints,
-    P: Floats,
+    motion: tuple[Floats, Floats, Floats],
     new: tuple[Ints, Floats, Floats, Floats],
 ) -> tuple[bool, int, int, int, int]:
     """Age the tracks and take the shapes of their segments in.
 
-    covariance (M, 3, 3): of the segments; took (N,), P (N, 9, 9): the segment and the covariance of each track after
-    the update; rules: `RULES`. Written, in `new`: counts (5, N): status (`GONE` for the end), age, hits, misses, label
-    of the segment; means (3, N): near_offset, n_pixels, and NIS, which is there already; size (N, 3), memory.
+    covariance (M, 3, 3): of the segments; took (N,): the segment of each track; motion: states (N, 9) before and after
+    the update, P (N, 9, 9) after it; rules: `RULES`. Written, in `new`: counts (5, N): status (`GONE` for the end),
+    age, hits, misses, label of the segment; means (3, N): near_offset, n_pixels, and NIS, which is there already;
+    size (N, 3), memory.
 
     Return that this is done, how many tracks end, how many finite segments are left over, how many tracks that are not
     tentative took none, how many segments are not finite.
@@ -46,8 +47,9 @@ def live(
     status, age, hits, misses, size, near_offset, n_pixels, class_probability, memory = before
     counts, means, new_size, new_memory = new
     _reshape(took, (size, near_offset, n_pixels, memory), seen, rules, (counts[4], new_size, means, new_memory))
+    _expect(took, seen[4], motion[0], motion[1], means[1])
     _adapt(means[2], dt_s, rules, new_memory)
-    ended = _count(took, seen[4], (status, age, hits, misses, class_probability), P, rules, counts)
+    ended = _count(took, seen[4], (status, age, hits, misses, class_probability), motion[2], rules, counts)
     position = seen[1]
     left, taken, lost = left_over(took, position, covariance, seen[2], np.empty(len(position), np.int64)), 0, 0
     for i in range(took.size):
@@ -69,14 +71,16 @@ def _count(
 ) -> int:
     """Write the new status (`GONE` for the end), age, hits and misses; return how many tracks end.
 
-    One seen only together with others coasts, but is not missed. How long others coast is a matter of their class.
+    One seen only together with others coasts, but was seen, and is not missed. How long others coast is a matter of
+    their class.
     """
     confirm_hits, confirm_frames, max_variance = rules[6], rules[7], rules[12]
     gone = 0
     for i in range(took.size):
         hit = 1 if took[i] >= 0 and pixels[took[i]] > 0 else 0
         together = took[i] >= 0 and hit == 0
-        age, hits, misses = old[1][i] + 1, old[2][i] + hit, 0 if hit else old[3][i] + (0 if together else 1)
+        age, hits = old[1][i] + 1, old[2][i] + (1 if together else hit)
+        misses = 0 if hit else old[3][i] + (0 if together else 1)
         if old[0][i] != _TENTATIVE:
             fate = _CONFIRMED if hit else _COASTING
             if fate == _COASTING and misses > rules[8 + largest(old[4][i])]:
@@ -91,6 +95,18 @@ def _count(
         new[0, i], new[1, i], new[2, i], new[3, i] = fate, age, hits, misses
         gone += fate == GONE
     return gone
+
+
+@kernel
+def _expect(took: Ints, pixels: Ints, before: Floats, after: Floats, n_pixels: Floats) -> None:
+    """Let the pixels of tracks that were not seen alone be those that they would have where they are now, in place."""
+    for i in range(took.size):
+        if took[i] < 0 or pixels[took[i]] == 0:
+            was, now = 0.0, 0.0
+            for a in (0, 3, 6):
+                was, now = was + before[i, a] ** 2, now + after[i, a] ** 2
+            if 0 < now < math.inf and was < math.inf:
+                n_pixels[i] *= min(max(was / now, 0.5), 2.0)
 
 
 @kernel
@@ -122,7 +138,7 @@ def _reshape(
     stay of those that are no longer one.
     """
     weight, max_parts = rules[4], rules[17]
-    label, position, size, near, pixels, box, range_m, amplitude, sigma, cut = seen
+    label, position, size, near, pixels, box, range_m, amplitude, sigma, cut, sides = seen
     new_label, new_size, means, memory = new
     shape = np.empty((len(label), 7))
     describe(size, pixels, box, range_m, amplitude, sigma, cut, shape)
@@ -142,8 +158,12 @@ def _reshape(
                 short = cut[j] & (UP if a == 2 else ACROSS) != 0 and a > 0
                 if not short or size[j, a] > old[0][i, a]:
                     new_size[i, a] += weight * (size[j, a] - old[0][i, a])
-            placed = max(new_size[i, 1], size[j, 1]) if one_sided(cut[j]) else size[j, 1]
-            memory[i, _PLACED] += weight * (placed - memory[i, _PLACED])
+            if one_sided(cut[j]):  # as `sighting.grows` has moved its middle
+                memory[i, _PLACED] += weight * max(sides[j, 0] - sides[j, 1] - memory[i, _PLACED], 0.0)
+                memory[i, _SIDE] = 1.0 if cut[j] & LEFT != 0 else -1.0
+            else:
+                memory[i, _PLACED] += weight * (size[j, 1] - memory[i, _PLACED])
+                memory[i, _SIDE] = 0.0
             for a in range(3):
                 apart = shape[j, a] - memory[i, a]
                 if cut[j] == 0 or (a < 2 and apart > 0):

@@ -54,6 +54,9 @@ class TrackingSettings:
     that the depth is cut as well."""
     cut_width_m: NonNegative = 0.0
     """How wide something is expected to be that is cut short when it is seen first, if it is not seen to be wider."""
+    end_sigma_m: NonNegative = 0.1
+    """Error, from frame to frame, of where something ends that is cut short at its other side, added to that of the
+    pixels: it is placed by this end, and as it comes into sight its speed is that of this end."""
     own_braking_mps2: NonNegative = 0.0
     """While we brake for an object (`Ego.braking`) our deceleration begins, rises and ends within frames, and wheels
     that lock tell nothing of it: standard deviation of its change in a tenth of a second. For the frame vehicle."""

@@ -18,12 +18,12 @@ SHAPE_SPREAD = 3
 def shapes(seen: Seen) -> Floats:
     """Return the shape (M, 7) of each segment: see `living.describe`."""
     shape = np.empty((len(seen[0]), 7))
-    describe(seen[3], seen[5], *seen[6:], shape)
+    describe(seen[3], seen[5], *seen[6:11], shape)
     return shape
 
 
 def first_memory(shape: Floats, sigma: float) -> Floats:
-    """Return the memory (N, 11) of tracks that were seen once, with these shapes."""
+    """Return the memory (N, 12) of tracks that were seen once, with these shapes."""
     memory = np.zeros((len(shape), len(MEMORY)))
     memory[:, :SHAPE_SPREAD] = shape[:, :SHAPE_SPREAD]
     memory[:, SHAPE_SPREAD:6] = sigma**2 + shape[:, SHAPE_SPREAD:6]
@@ -57,7 +57,7 @@ def memory_of(tracks: Tracks, sigma: float) -> Floats:
 def pair_shapes(cost: Floats, memory: Floats, shape: Floats, cut: Ints) -> Floats:
     """Return the costs (N, M) of the pairings with those of the shapes, where they are in the gate.
 
-    Twice the negative logarithm of how much likelier a shape (M, 7) is among the track's own (its memory (N, 11)) than
+    Twice the negative logarithm of how much likelier a shape (M, 7) is among the track's own (its memory (N, 12)) than
     among any: each logarithm is normal about the track's mean, with its own running variance and that of the segment's
     pixels; those of other objects spread by a factor of e about it. So a shape counts as much as track and pixels let
     it: that of a few pixels hardly at all. Of what is cut short anything may be missing: that it is narrower, or lower,

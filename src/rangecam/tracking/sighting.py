@@ -11,7 +11,7 @@ ACROSS, UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM 
 """What cuts an object short beside it, and above or below it."""
 LEFT, RIGHT = int(Cut.LEFT | Cut.HIDDEN_LEFT), int(Cut.RIGHT | Cut.HIDDEN_RIGHT)
 """What cuts it short at one side."""
-_SPREAD = MEMORY.index("log_width_variance")
+_SPREAD, _PLACED, _SIDE = (MEMORY.index(name) for name in ("log_width_variance", "placed_width", "placed_side"))
 
 
 @kernel
@@ -30,54 +30,65 @@ def complete(covariance: Floats, size: Floats, cut: Ints, rules: Floats, R: Floa
 
 @kernel
 def unseen(
-    x: Floats, P: Floats, memory: Floats, seen: tuple[Floats, Floats, Ints], rules: Floats, R: Floats, z: Floats | None
+    x: Floats, P: Floats, memory: Floats, seen: tuple[Floats, Floats, Ints], rules: Floats, R: Floats, by_ends: bool
 ) -> None:
     """Raise the covariances of what is cut short and may be part of a larger track, in place.
 
     seen: position, size, cut of the segments. Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of
-    what is seen. If z (M, 3) is given, it becomes the positions, and of what is cut at one side the centre of the
-    whole: half of W from the end that is seen, as surely as W is known.
+    what is seen. by_ends: what is cut at one side is placed by its other end, see `ends`.
     """
     position, size, cut = seen
-    if z is not None:
-        for j in range(cut.size):
-            for a in range(3):
-                z[j, a] = position[j, a]
     for j in range(cut.size):
         for a in range(1, 3):
-            if cut[j] & (ACROSS if a == 1 else UP) == 0:
-                continue
-            missing, spread = _missing(x, P, memory, position[j], R[j], size[j], a)
-            if z is not None:  # noqa: SIM102 - Numba leaves it out where there is none
-                if a == 1 and one_sided(cut[j]):
-                    counted = rules[16] * size[j, 1] ** 2 if spread > 0 else 0.0  # by `complete`
-                    _centre(z[j], R[j], cut[j], missing, spread / 4 - counted)
-                    continue
-            R[j, a, a] += rules[16] * missing**2
+            if cut[j] & (ACROSS if a == 1 else UP) != 0 and not (by_ends and a == 1 and one_sided(cut[j])):
+                R[j, a, a] += rules[16] * _missing(x, P, memory, position[j], R[j], size[j], a) ** 2
 
 
 @kernel
-def widen(
-    z: Floats, R: Floats, width: Floats, cut: Ints, missing: Floats, log_variance: Floats, cut_variance: float
-) -> None:
-    """Let segments that are cut short be the visible parts of objects that are wider by `missing` (M,), in place.
+def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Floats, R: Floats) -> Floats:
+    """Return for each segment that is cut at one side where its other end is, the side that is cut, and the width seen.
 
-    As `unseen` does where there is a track: log_variance (M,) is that of the logarithm of the whole width; cut_variance
-    that of the centroid as a share of the squared width, where both sides are cut.
+    (M, 3): y, side (1 left, -1 right, 0: none, or both), width; seen: size, pixels, cut, `Segments.ends_m`. Such a
+    segment says of its track where that end is, as surely as the end is known, which is written into R; how wide the
+    track is beyond it, nothing says, and its position is that of the middle of the width that it has had so far
+    (`placed_width`). So what comes into sight moves as its end does, not as its middle seems to.
     """
+    size, pixels, cut, sides = seen
+    end = np.zeros((cut.size, 3))
     for j in range(cut.size):
-        if missing[j] > 0:
-            if one_sided(cut[j]):
-                _centre(z[j], R[j], cut[j], missing[j], (width[j] + missing[j]) ** 2 * log_variance[j] / 4)
-            else:
-                R[j, 1, 1] += cut_variance * missing[j] ** 2
+        if one_sided(cut[j]) and pixels[j] > 0:
+            left = cut[j] & LEFT != 0
+            end[j, 0], end[j, 1] = sides[j, 1 if left else 0], 1.0 if left else -1.0
+            end[j, 2] = max(sides[j, 0] - sides[j, 1], 0.0)
+            # an end errs twice as much as the middle of it and one that is sure
+            R[j, 1, 1] += 3 * covariance[j, 1, 1] - (rules[16] * size[j, 1] ** 2 if cut[j] & ACROSS != 0 else 0.0)
+            R[j, 1, 1] += rules[20]
+    return end
 
 
 @kernel
-def _centre(z: Floats, R: Floats, cut: int, missing: float, variance: float) -> None:
-    """Put what is cut at one side to the centre of a whole that is so much wider, and add the variance, in place."""
-    z[1] += missing / 2 if cut & LEFT != 0 else -missing / 2
-    R[1, 1] += variance
+def grows(end: Floats, memory: Floats, weight: float) -> float:
+    """Return by how much the middle of a track moves because it is seen to be wider than it was placed by."""
+    wider = end[2] - memory[_PLACED]
+    return end[1] * weight * wider / 2 if end[1] != 0 and wider > 0 else 0.0
+
+
+@kernel
+def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[float, float, float]:
+    """Return y of a track's middle by the end that its segment shows, how it wanders, and by how much y is less known.
+
+    end (3,): of the segment, see `ends`; memory: of the track; restless: wander of its middle, which is not that of one
+    end; weight: of the newest width. What is wider than it was before has come into sight, or the end that it is placed
+    by errs. Where that is another end than before, or the middle again, what is not known of its width moves it, but
+    says nothing of its speed.
+    """
+    side, before, placed, y, wanders, less = end[1], memory[_SIDE], memory[_PLACED], math.nan, restless, 0.0
+    if side != before:
+        less = (side - before) ** 2 * placed**2 * memory[_SPREAD] / 4
+    if side != 0:
+        y = end[0] + side * placed / 2
+        wanders = grows(end, memory, weight) ** 2
+    return y, wanders, less
 
 
 @kernel
@@ -87,22 +98,17 @@ def one_sided(cut: int) -> bool:
 
 
 @kernel
-def _missing(
-    x: Floats, P: Floats, memory: Floats, position: Floats, R: Floats, size: Floats, a: int
-) -> tuple[float, float]:
-    """Return how much wider (a = 1) or higher (2) than a segment the widest track is that it may be part of.
-
-    And the variance of that track's own width or height.
-    """
-    missing, spread = 0.0, 0.0
+def _missing(x: Floats, P: Floats, memory: Floats, position: Floats, R: Floats, size: Floats, a: int) -> float:
+    """Return how much wider (a = 1) or higher (2) than a segment the widest track is that it may be part of."""
+    missing = 0.0
     for i in range(len(x)):
         whole = math.exp(memory[i, a - 1])
         reach = (whole + size[a]) / 2 + 2 * math.sqrt(P[i, 3 * a, 3 * a] + R[a, a])
         beside = abs(x[i, 3 * a] - position[a]) <= reach
         ahead = abs(x[i, 0] - position[0]) <= 0.5 + 2 * math.sqrt(P[i, 0, 0] + R[0, 0])
-        if beside and ahead and whole - size[a] > missing:
-            missing, spread = whole - size[a], whole**2 * memory[i, _SPREAD + a - 1]
-    return missing, spread
+        if beside and ahead:
+            missing = max(missing, whole - size[a])
+    return missing
 
 
 @kernel

@@ -8,7 +8,7 @@ from rangecam.tracking.interacting import predict_modes, update_modes
 from rangecam.tracking.living import live
 from rangecam.tracking.moving import drift, predict, predict_turning, turning_room
 from rangecam.tracking.rules import PAIRED, PAIRING
-from rangecam.tracking.sighting import complete, unseen, wander
+from rangecam.tracking.sighting import complete, ends, unseen, wander
 from rangecam.types import MEMORY, Floats, Ints
 
 _NOISE = MEMORY.index("process_noise")
@@ -41,6 +41,7 @@ def follow(
     amplitude: Floats,
     sigma: Floats,
     cut: Ints,
+    sides: Floats,
     model: Floats,
     rules: Floats,
     own: Floats | None,
@@ -67,8 +68,8 @@ def follow(
     (N, M) of each pairing is written: fill in took, and weights (N, M) if tracks take several by their probabilities,
     and call once more: `PAIRED`.
     """
-    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut
-    R, z = np.empty_like(position_covariance), np.empty_like(position)
+    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut, sides
+    R = np.empty_like(position_covariance)
     complete(position_covariance, size, cut, rules, R)
     if stage != PAIRED:
         if own is not None:
@@ -82,15 +83,17 @@ def follow(
         for i in range(len(x) if lasting > 0 else 0):
             for a in (0, 3, 6):
                 P[i, a, a] += lasting
-    unseen(x, P, memory, (position, size, cut), rules, R, z)
-    measured = z, R, rules[3], pixels, wander(memory, rules[18])
+    unseen(x, P, memory, (position, size, cut), rules, R, True)
+    end = ends(position_covariance, (size, pixels, cut, sides), rules, R)
+    measured = position, R, rules[3], pixels, end, memory, wander(memory, rules[18]), rules[4]
     if stage != PAIRED:
         gate_pairs(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
             return False, 0, 0, 0, 0
     update(x, P, took, weights, measured, means[2])
     before = status, age, hits, misses, extent, near_offset, n_pixels, class_probability, memory
-    return live(before, seen, position_covariance, rules, dt_s, took, P, (counts, means, new_extent, new_memory))
+    motion, new = (state, x, P), (counts, means, new_extent, new_memory)
+    return live(before, seen, position_covariance, rules, dt_s, took, motion, new)
 
 
 @kernel
@@ -98,6 +101,7 @@ def follow_modes(
     mode_probability: Floats,
     mode_state: Floats,
     mode_covariance: Floats,
+    state: Floats,
     status: Ints,
     age: Ints,
     hits: Ints,
@@ -118,6 +122,7 @@ def follow_modes(
     amplitude: Floats,
     sigma: Floats,
     cut: Ints,
+    sides: Floats,
     models: Floats,
     switching: Floats,
     turns: Floats,
@@ -144,8 +149,8 @@ def follow_modes(
     Written besides: probability (N, K), state (N, K, 9) and covariance (N, K, 9, 9) of the modes; x and P are their
     mean.
     """
-    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut
-    R, z = np.empty_like(position_covariance), np.empty_like(position)
+    seen = label, position, size, near, pixels, box, range_m, amplitude, sigma, cut, sides
+    R = np.empty_like(position_covariance)
     complete(position_covariance, size, cut, rules, R)
     if stage != PAIRED:
         old, new = (mode_probability, mode_state, mode_covariance), (mu, modes, spreads)
@@ -156,12 +161,14 @@ def follow_modes(
                 for a in (0, 3, 6):
                     spreads[i, k, a, a] += lasting
             mixture(mu[i], modes[i], spreads[i], x[i], P[i])
-    unseen(x, P, memory, (position, size, cut), rules, R, z)
-    measured = z, R, rules[3], pixels, wander(memory, rules[18])
+    unseen(x, P, memory, (position, size, cut), rules, R, True)
+    end = ends(position_covariance, (size, pixels, cut, sides), rules, R)
+    measured = position, R, rules[3], pixels, end, memory, wander(memory, rules[18]), rules[4]
     if stage != PAIRED:
         gate_pairs(x, P, measured, rules[0], rules[13], cost)
         if not take_only_candidates(cost, took) or stage == PAIRING:
             return False, 0, 0, 0, 0
     update_modes((mu, modes, spreads), (x, P), took, weights, measured, means[2])
     before = status, age, hits, misses, extent, near_offset, n_pixels, class_probability, memory
-    return live(before, seen, position_covariance, rules, dt_s, took, P, (counts, means, new_extent, new_memory))
+    new_tracks = counts, means, new_extent, new_memory
+    return live(before, seen, position_covariance, rules, dt_s, took, (state, x, P), new_tracks)

@@ -29,11 +29,13 @@ _FLOAT, _INT, _BYTE = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint
 _USED = {
     **{"label": _INT, "position_m": _FLOAT, "covariance_m2": _FLOAT, "size_m": _FLOAT, "near_m": _FLOAT},
     **{"n_pixels": _INT, "box": _INT, "range_m": _FLOAT, "amplitude": _FLOAT, "sigma_range_m": _FLOAT},
-    "cut": _BYTE,
+    **{"cut": _BYTE, "ends_m": _FLOAT},
 }
 """What `Seen` takes of the segments, and in which type."""
 _FIELDS, _TYPE = itemgetter(*_USED), attrgetter("dtype")
 _TYPES: tuple[Any, ...] = tuple(_USED.values())
+_HALVES: Floats = np.array([0.5, -0.5])
+"""From the middle of a segment to its left and its right end, as shares of its width."""
 _GROUP, _PARTS = MEMORY.index("merged"), MEMORY.index("parts")
 
 _UNKNOWN = Ego()
@@ -128,7 +130,7 @@ def _modes(tracks: Tracks, m: int, own: Floats, dt_s: float, settings: TrackingS
     modes = np.empty((n, count)), np.empty((n, count, 9)), np.empty((n, count, 9, 9))
     # fmt: off
     before: tuple[Any, ...] = (
-        *_modes_of(tracks, count), tracks.status, tracks.age, tracks.hits, tracks.misses, tracks.size_m,
+        *_modes_of(tracks, count), tracks.state, tracks.status, tracks.age, tracks.hits, tracks.misses, tracks.size_m,
         tracks.near_offset_m, tracks.n_pixels, tracks.class_probability, memory,
     )
     after: tuple[Any, ...] = (
@@ -199,7 +201,7 @@ def _resolved(
         return took, weights, None
     R = np.empty_like(seen[2])
     complete(seen[2], seen[3], seen[10], rules, R)
-    unseen(x, P, memory, (seen[1], seen[3], seen[10]), rules, R, None)
+    unseen(x, P, memory, (seen[1], seen[3], seen[10]), rules, R, False)
     grouped = regroup(tracks, memory, (x, P), (seen, R, shape), took, rules[0], settings)
     if grouped is None:
         return took, weights, None
@@ -236,11 +238,12 @@ def _followed(tracks: Tracks, written: Written, time_s: float, ego: Ego, refused
 
 def _seen_in(segments: Segments) -> Seen:
     """Return what the tracker uses of the segments, in the types that its kernels are compiled for."""
-    seen: Seen = _FIELDS(vars(segments))
+    seen: Any = _FIELDS(vars(segments))
+    if seen[-1] is None:
+        seen = (*seen[:-1], segments.position_m[:, 1:2] + segments.size_m[:, 1:2] * _HALVES)
     if tuple(map(_TYPE, seen)) == _TYPES:
-        return seen
-    converted: Any = tuple(np.asarray(each, kind) for each, kind in zip(seen, _TYPES, strict=True))
-    return converted  # type: ignore[no-any-return]
+        return seen  # type: ignore[no-any-return]
+    return tuple(np.asarray(each, kind) for each, kind in zip(seen, _TYPES, strict=True))  # type: ignore[return-value]
 
 
 @lru_cache(maxsize=16)

@@ -97,6 +97,8 @@ def side_by_side(
     gap = int(np.max(np.diff(frame[order])[same], initial=1)) - 1
     aside = np.outer(joined.label, [0.0, _APART_M, 0.0])
     moved = dataclasses.replace(joined, position_m=joined.position_m + aside)
+    if joined.ends_m is not None:
+        moved = dataclasses.replace(moved, ends_m=joined.ends_m + aside[:, 1:2])
     times = np.array([time_s for time_s, _ in steps])
     return Paths(name, tracking, int(np.max(joined.label, initial=0)), gap, times, np.cumsum(sizes), moved, notes)
 
@@ -106,8 +108,8 @@ def _part(segments: Segments, which: Any) -> Segments:
 
 
 def _measured(segments: Segments) -> dict[str, Any]:
-    """Return the fields of segments, without profile and surface: no filter asks for them."""
-    return {key: array for key, array in vars(segments).items() if key not in ("profile", "surface")}
+    """Return the fields of segments that were measured, without profile and surface: no filter asks for them."""
+    return {k: each for k, each in vars(segments).items() if k not in ("profile", "surface") and each is not None}
 
 
 def likelihood(paths: Paths, settings: TrackingSettings) -> Likelihood:
