@@ -390,6 +390,13 @@ def test_a_box_is_seen_before_it_is_reached_and_one_behind_a_wall_never() -> Non
     assert unseen.seen_s == math.inf
 
 
+def test_what_can_be_done_does_not_hang_on_how_far_aside_one_looks() -> None:
+    way = Way(start_m=(2.6, 1.2, 0.0), velocity_mps=(0.0, -1.0, 0.0))
+    crossing, narrow = scene(replace(box(), path=way), duration_s=3.0), load_config("scaled_car")
+    narrow = replace(coarse(), clean=replace(coarse().clean, width_m=0.4))
+    assert bound.bound_of(crossing, narrow, SETTINGS, 0) == bound.bound_of(crossing, coarse(), SETTINGS, 0)
+
+
 def test_where_nothing_is_hit_there_is_no_threat() -> None:
     assert bound.bound_of(scene(box(y=2.0)), coarse(), SETTINGS, 0).threat is False
 

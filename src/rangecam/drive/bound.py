@@ -1,8 +1,9 @@
 """What could have been done: the drive without brakes, and the drive braked as soon as the target could be seen.
 
 A collision counts as avoidable if an ideal system avoids it: one that takes the first image in which the camera, with
-its field of view, light and noise, gives enough right pixels of the target, needs the latency of the real one and as
-many images as the tracker confirms a track with, and then brakes fully, on the true road, with the true brakes.
+its field of view, light and noise, gives enough right pixels of the target, also beside the area of interest, needs the
+latency of the real one and as many images as the tracker confirms a track with, and then brakes fully, on the true
+road, with the true brakes. It knows at once how the target moves: of what crosses, no real one does.
 """
 
 import math
@@ -24,6 +25,7 @@ from rangecam.scene.paths import OwnMotion, Pose
 from rangecam.scene.render import ray_bundle, truth
 from rangecam.scene.scenario import Scenario
 from rangecam.types import Floats
+from rangecam.values import changed
 from rangecam.vehicle.dynamics import Command, Road, VehicleState, move, standing
 from rangecam.vehicle.remote import command_of
 
@@ -119,7 +121,8 @@ def _shows(scenario: Scenario, config: Config, free: Roll, number: int, seed: in
     bundle = ray_bundle(camera.lens, config.mounting, shape, scenario.subpixels)
     looks = look(scenario, config, bundle, time_s, (seed, number, 3), free.own)
     raw = SIMULATE[camera.kind](looks, camera, time_s, np.random.default_rng([seed, number, 2]))
-    image = clean(ranged(RANGING[config.ranging], raw, camera), camera.lens, config.mounting, config.clean, None)
+    wide = changed(config.clean, width_m=None)  # how far aside one looks is a choice, not physics
+    image = clean(ranged(RANGING[config.ranging], raw, camera), camera.lens, config.mounting, wide, None)
     right = target & image.valid & (np.abs(image.range_m - seen.range_m) < _GROSS_M + 3 * image.sigma_m)
     return _enough(seen.range_m[right], config)
 
