@@ -479,7 +479,7 @@ def coming(mps: float, side: float, noise_m: float = 0.0, seed: int = 0, count: 
     rng, frames = np.random.default_rng(seed), []
     for k in range(count):
         end = 0.9 - mps * k * 0.05 + rng.normal(0, noise_m)
-        far = min(end + 0.4, 1.0)
+        far = max(min(end + 0.4, 1.0), end + 0.01)
         cut = int(Cut.LEFT if side > 0 else Cut.RIGHT) if end + 0.4 > 1.0 else 0
         frames.append(seen([6.0, side * (end + far) / 2, 0.9], width=far - end, cut=cut))
     return follow(frames, PLAIN)

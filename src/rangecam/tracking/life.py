@@ -83,7 +83,7 @@ def _whole(
     """
     position, R, width, cut = seen
     side = end[:, 1]
-    missing = np.where(cut & ACROSS != 0, np.maximum(settings.cut_width_m - width, 0.0), 0.0)
+    missing = np.where(cut & ACROSS != 0, np.maximum(settings.cut_width_m - np.maximum(width, 0.0), 0.0), 0.0)
     memory[:, _SIDE] = side
     if not side.any() and not missing.any():
         return position, R
