@@ -7,7 +7,9 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.association import NO_PAIR
 from rangecam.tracking.sighting import aside, grows
-from rangecam.types import Floats, Ints
+from rangecam.types import MEMORY, Floats, Ints
+
+_SIDE = MEMORY.index("placed_side")
 
 Measured = tuple[Floats, Floats, float, Ints, Floats, Floats, Floats, float]
 """Positions and R of the segments, variance of the time, their pixels, `sighting.ends`; memory of the tracks,
@@ -38,14 +40,17 @@ def gate_pairs(x: Floats, P: Floats, measured: Measured, gate: float, euclidean:
             variance = P[i, 0, 0] + R[j, 0, 0] + time_variance * x[i, 1] ** 2 + measured[6][i, 0]
             if not (position[j, 0] - x[i, 0]) ** 2 <= gate * variance < math.inf:  # or not a number
                 continue
-            wander[1] = aim(measured, i, j, z, wander) + wander[1]
+            at, spread = position[j], measured[6][i]
+            if measured[4][j, 1] != 0 or measured[5][i, _SIDE] != 0:  # seldom, and it takes time
+                wander[1] = aim(measured, i, j, z, wander) + wander[1]
+                at, spread = z, wander
             for a in range(1, 3):
-                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2 + wander[a]
-                if not (z[a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:
+                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2 + spread[a]
+                if not (at[a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:
                     break
             else:
-                V, det = inverse(innovation_covariance(x[i], P[i], R[j], time_variance, wander))
-                d2 = squared_distance(x[i], V, z)
+                V, det = inverse(innovation_covariance(x[i], P[i], R[j], time_variance, spread))
+                d2 = squared_distance(x[i], V, at)
                 if det > 0 and d2 <= gate:
                     cost[i, j] = d2 + math.log(det)
 
