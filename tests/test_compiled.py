@@ -7,6 +7,8 @@ from types import ModuleType
 
 import pytest
 
+from rangecam import types
+
 HEAD = "from rangecam.compiled import kernel\n\n\n"
 INNERMOST = HEAD + "@kernel\ndef innermost(x: float) -> float:\n    return {factor} * x\n"
 INNER = (
@@ -28,6 +30,18 @@ def freshly_imported(folder: Path, factor: str) -> ModuleType:
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
     return importlib.import_module("outer_part")
+
+
+def test_a_kernel_is_compiled_anew_when_the_columns_of_the_tracks_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert freshly_imported(tmp_path, "2").outer(3.0) == 7.0
+    (tmp_path / "types.py").write_text("MEMORY = ()\n")
+    monkeypatch.setattr(types, "__file__", str(tmp_path / "types.py"))
+    again = freshly_imported(tmp_path, "2")
+    assert again.outer(3.0) == 7.0
+    assert sum(again.outer.stats.cache_hits.values()) == 0
 
 
 def test_a_kernel_is_compiled_anew_when_one_that_it_takes_in_from_another_file_changes(

@@ -1,9 +1,12 @@
 """How a kernel is compiled: when it is first called, and kept on disk until anything that it is made of changes."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+
+from rangecam import types
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -13,13 +16,13 @@ def kernel(function: F) -> F:
 
     Numba's cache on disk notices changes of the file that a kernel is in, not of those whose kernels it takes in. So
     what marks its cache as fresh is, beside its own file, that of each kernel that its module imports, which has been
-    given those of what it imports in turn.
+    given those of what it imports in turn; and that of `types.py`, whose columns are constants in kernels.
     """
     made: Any = njit(cache=True, nogil=True)(function)
     others = [each for each in function.__globals__.values() if hasattr(each, "py_func")]
     marks = {repr(_index(each)._source_stamp) for each in others if each.__module__ != function.__module__}
-    if marks:
-        _index(made)._source_stamp = (_index(made)._source_stamp, *sorted(marks))
+    columns = Path(types.__file__).stat()
+    _index(made)._source_stamp = (_index(made)._source_stamp, columns.st_mtime, columns.st_size, *sorted(marks))
     compiled: F = made
     return compiled
 

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rangecam.compiled import kernel
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _COASTING = int(TrackStatus.TENTATIVE), int(TrackStatus.COASTING)
@@ -24,7 +24,7 @@ Shown = tuple[Floats, Floats, Ints, Floats, Floats]
 """Of the segments: position_m, size_m, n_pixels, R (M, 3, 3), shape (M, 7)."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def concerned(
     status: Ints, size: Floats, memory: Floats, x: Floats, P: Floats, position: Floats, extent: Floats, took: Ints,
     max_parts: float,
@@ -48,7 +48,7 @@ def concerned(
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _near(x: Floats, P: Floats, size: Floats, i: int, share: float, position: Floats, extent: Floats, j: int) -> bool:
     """Return whether the predicted centre lies in the segment's box; share: of the track's size beside it."""
     for a in range(3):
@@ -58,7 +58,7 @@ def _near(x: Floats, P: Floats, size: Floats, i: int, share: float, position: Fl
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search(
     tracks: State, shown: Shown, limits: tuple[float, float, float], took: Ints, mate_of: Ints, part_of: Ints
 ) -> int:
@@ -82,7 +82,7 @@ def search(
     return count + _split(tracks, shown, limits, took, owner, free, mate_of, part_of)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _merged(
     tracks: State,
     shown: Shown,
@@ -126,7 +126,7 @@ def _merged(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _picked(members: Ints, m: int, case: int, some: Ints) -> int:
     """Write the members of this case and return how many they are; a count from a loop would compile its user twice."""
     n = 0
@@ -137,7 +137,7 @@ def _picked(members: Ints, m: int, case: int, some: Ints) -> int:
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _total(
     tracks: State, shown: Shown, limits: tuple[float, float, float], j: int, some: Ints, n: int, room: Floats
 ) -> float:  # fmt: skip
@@ -177,7 +177,7 @@ def _total(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mean_of(
     n_pixels: Floats, x: Floats, P: Floats, R: Floats, j: int, some: Ints, n: int, without: int, room: Floats,
     S: Floats,
@@ -204,7 +204,7 @@ def _mean_of(
                     S[a, b] += room[1, k] ** 2 * P[some[k], 3 * a, 3 * b]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance(S: Floats, u: float, v: float, w: float) -> tuple[float, float]:
     """Return the squared distance of (u, v, w) with the covariance S (3, 3), and log det S; infinite if it is none."""
     c00 = S[1, 1] * S[2, 2] - S[1, 2] * S[1, 2]
@@ -220,7 +220,7 @@ def _distance(S: Floats, u: float, v: float, w: float) -> tuple[float, float]:
     return squared / determinant, math.log(determinant)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _each_widens(memory: Floats, x: Floats, P: Floats, some: Ints, n: int, room: Floats) -> bool:
     """Return whether the group covers less of the line across without any one of them, by more than its sigma.
 
@@ -240,7 +240,7 @@ def _each_widens(memory: Floats, x: Floats, P: Floats, some: Ints, n: int, room:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _covered(room: Floats, n: int, without: float) -> float:
     """Return how much of the line is covered, without the one whose right end that is."""
     reached, covered = -math.inf, 0.0
@@ -251,7 +251,7 @@ def _covered(room: Floats, n: int, without: float) -> float:
     return covered
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _split(
     tracks: State, shown: Shown, limits: tuple[float, float, float], took: Ints, owner: Ints,
     free: NDArray[np.bool_], mate_of: Ints, part_of: Ints,
@@ -289,7 +289,7 @@ def _split(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _likeness(tracks: State, shown: Shown, gate: float, i: int, pieces: Ints, n: int) -> float:
     """Return the cost of the first n of `pieces` being, together, track i; infinite where that is outside its gate."""
     _, _, _, _, memory, x, P = tracks
@@ -324,7 +324,7 @@ def _likeness(tracks: State, shown: Shown, gate: float, i: int, pieces: Ints, n:
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hold(tracks: State, shown: Shown, j: int, some: Ints, place: Floats, covariance: Floats) -> None:
     """Write what a common segment says of each of its tracks: place (n, 3) and covariance (n, 3, 3).
 
@@ -361,7 +361,7 @@ def hold(tracks: State, shown: Shown, j: int, some: Ints, place: Floats, covaria
             _settle(place, covariance, k, 1, middle + (width / 2 - half) * (1.0 if k == left else -1.0), sure)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle(place: Floats, covariance: Floats, k: int, axis: int, value: float, variance: float) -> None:
     """Write a coordinate that is known apart from the others."""
     place[k, axis] = value
@@ -370,7 +370,7 @@ def _settle(place: Floats, covariance: Floats, k: int, axis: int, value: float, 
     covariance[k, axis, axis] = variance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _furthest(reach: Floats, side: int, P: Floats, some: Ints) -> int:
     """Return which track reaches furthest, -1 where another may reach as far."""
     first, second = (0, 1) if reach[side, 0] >= reach[side, 1] else (1, 0)

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from rangecam.compiled import kernel
 from rangecam.tracking.association import NO_PAIR
 from rangecam.tracking.living import describe
 from rangecam.tracking.rules import Seen
@@ -68,7 +68,7 @@ def pair_shapes(cost: Floats, memory: Floats, shape: Floats, cut: Ints) -> Float
     return together
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_shapes(cost: Floats, memory: Floats, shape: Floats, cut: Ints, together: Floats) -> None:
     for i in range(cost.shape[0]):
         for j in range(cost.shape[1]):
