@@ -16,9 +16,12 @@ def kernel(function: F) -> F:
 
     Numba's cache on disk notices changes of the file that a kernel is in, not of those whose kernels it takes in. So
     what marks its cache as fresh is, beside its own file, that of each kernel that its module imports, which has been
-    given those of what it imports in turn; and that of `types.py`, whose columns are constants in kernels.
+    given those of what it imports in turn; and that of `types.py`, whose columns are constants in kernels. With
+    NUMBA_DISABLE_JIT=1 nothing is compiled, and the function stays what it is.
     """
     made: Any = njit(cache=True, nogil=True)(function)
+    if not hasattr(made, "py_func"):
+        return function
     others = [each for each in function.__globals__.values() if hasattr(each, "py_func")]
     marks = {repr(_index(each)._source_stamp) for each in others if each.__module__ != function.__module__}
     columns = Path(types.__file__).stat()
