@@ -205,6 +205,7 @@ def _twenty_segments() -> Segments:
         amplitude=np.full(n, 100.0),
         cut=np.zeros(n, np.uint8),
         nearest_m=place - [0.15, 0.0, 0.0],
+        ends_m=place[:, 1:2] + [0.25, -0.25],
     )
 
 

@@ -35,10 +35,10 @@ def gate_pairs(x: Floats, P: Floats, measured: Measured, gate: float, euclidean:
     if euclidean > 0:
         return
     for i in range(cost.shape[0]):
+        ahead, known = x[i, 0], P[i, 0, 0] + time_variance * x[i, 1] ** 2 + measured[6][i, 0]  # most ask no more
         for j in range(cost.shape[1]):
             cost[i, j] = NO_PAIR
-            variance = P[i, 0, 0] + R[j, 0, 0] + time_variance * x[i, 1] ** 2 + measured[6][i, 0]
-            if not (position[j, 0] - x[i, 0]) ** 2 <= gate * variance < math.inf:  # or not a number
+            if not (position[j, 0] - ahead) ** 2 <= gate * (known + R[j, 0, 0]) < math.inf:  # or not a number
                 continue
             at, spread = position[j], measured[6][i]
             if measured[4][j, 1] != 0 or measured[5][i, _SIDE] != 0:  # seldom, and it takes time
