@@ -33,7 +33,7 @@ _ZERO, _ONE, _PER_TURN = np.float32(0), np.float32(1), np.float32(0.25 / math.pi
 def decode(
     planes: tuple[Image, ...], camera: CwCamera, wavelengths_m: tuple[float, ...], plan: Floats
 ) -> tuple[Floats, Image]:
-    """Return range, sigma and amplitude (3, H, W) float32, and why (H, W), of one, two or three frequencies.
+    """Return range, sigma and amplitude (3, H, W) float32, and why (H, W), of one to four frequencies.
 
     planes: of one frequency after the other, the anchor first if there are several, as `wavelengths_m` and the ratios
     in `plan` (`cw.wraps`) are.

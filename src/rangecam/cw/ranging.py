@@ -219,7 +219,7 @@ def cw_phases(raw: RawFrame, camera: CwCamera) -> RangeImage:
 
 
 def cw_multi_frequency(raw: RawFrame, camera: CwCamera) -> RangeImage:
-    """Return range, standard deviation and amplitude from two or three modulation frequencies, unwrapped (S-EFF-08).
+    """Return range, standard deviation and amplitude from two to four modulation frequencies, unwrapped (S-EFF-08).
 
     Planes f<k>_phase_<step> (H, W) for number k of `camera.modulations_hz` and each of `camera.phase_steps_deg`.
     Phasors as in `cw_phases`, all frequencies filtered together; then the likeliest number of wraps of all, refused

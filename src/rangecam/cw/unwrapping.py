@@ -17,6 +17,7 @@ from rangecam.types import Floats
 
 MOST_WRAPS = 200
 """Of one frequency within the unambiguous range of all; beyond, no real phase noise leaves the wraps decidable."""
+_MOST_FREQUENCIES = 4  # each has its exposures: more would blur what moves
 
 
 @dataclass(frozen=True)
@@ -34,15 +35,15 @@ class Combination:
 
 @lru_cache(maxsize=64)
 def combine(modulations_hz: tuple[float, ...], speed_of_light_mps: float) -> Combination:
-    """Return how two or three modulation frequencies go together (N-S-039).
+    """Return how two to four modulation frequencies go together (N-S-039).
 
     The anchor is the lowest frequency from which no other is more than twice as high, so that its noise, scaled up,
     still rounds the others to the right wrap wherever the residual is acceptable.
     Raises UsageError for frequencies that cannot be combined, with the reason.
     """
     what = f"camera.modulations_hz = {[*modulations_hz]}"
-    if len(modulations_hz) not in (2, 3):
-        raise UsageError(f"{what}: unwrapping needs two or three frequencies; one alone goes into camera.modulation_hz")
+    if not 2 <= len(modulations_hz) <= _MOST_FREQUENCIES:
+        raise UsageError(f"{what}: unwrapping needs two to four frequencies; one alone goes into camera.modulation_hz")
     whole = [round(each) for each in modulations_hz]
     if min(whole) < 1 or any(abs(f - n) > 1e-3 for f, n in zip(modulations_hz, whole, strict=True)):
         raise UsageError(f"{what}: unwrapping needs whole numbers of hertz")
@@ -72,7 +73,7 @@ def gross_error_probability(phase_sigmas_rad: Sequence[float], combination: Comb
 
     phase_sigmas_rad: of each frequency, the noise of a sample over its amplitude, propagated to the phase. Two
     frequencies: exact. p_2 u_1 - p_1 u_2 is a whole number plus noise, and goes wrong where the noise exceeds a half.
-    Three: the union bound over the wrong numbers, an upper limit and close to the truth while it is small. The noise of
+    More: the union bound over the wrong numbers, an upper limit and close to the truth while it is small. The noise of
     a phase has the tails of the arctangent of a noisy phasor, which 0.2 rad already double the errors of a Gaussian.
     """
     rivals = _rivals(tuple(phase_sigmas_rad), combination.wraps)
@@ -91,7 +92,7 @@ def accepted_error_probability(
     For two frequencies, without the test of the residual: a pixel is accepted if the noise of p_2 u_1 - p_1 u_2 stays
     within a distance of a whole number that follows from the ratio of likelihoods that `unwrap_error` demands. A pixel
     that reckons with its own noisy amplitude is rejected more often: about twice at 0.2 rad.
-    Raises UsageError for three frequencies, for which nothing but counting helps.
+    Raises UsageError for more frequencies, for which nothing but counting helps.
     """
     if len(combination.wraps) != 2:
         raise UsageError("the probability of accepted errors is known for two frequencies only")
