@@ -10,6 +10,7 @@ import copy
 import importlib.abc
 import importlib.machinery
 import os
+import re
 import signal
 import sys
 import time
@@ -44,6 +45,7 @@ COMPARE = {
     ast.IsNot: [ast.Is],
 }
 BINARY = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.BitAnd: ast.BitOr}
+KERNEL = re.compile(r"njit|kernel")
 Change = Callable[[ast.AST], None]
 
 
@@ -123,7 +125,7 @@ def parsed(path: Path) -> ast.Module:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for top in tree.body:
         if isinstance(top, ast.FunctionDef):
-            top.decorator_list = [each for each in top.decorator_list if "njit" not in ast.unparse(each)]
+            top.decorator_list = [each for each in top.decorator_list if not KERNEL.match(ast.unparse(each))]
     return tree
 
 

@@ -103,6 +103,32 @@ def test_every_public_function_and_class_says_what_it_is() -> None:
         inside = [node for one in ast.walk(module) if isinstance(one, ast.ClassDef) for node in one.body]
         for node in [*module.body, *inside]:
             named = isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+            named = named and "overload" not in map(ast.unparse, node.decorator_list)
             if named and not ast.get_docstring(node):
                 silent.append(f"{path.relative_to(PACKAGE)}:{node.lineno} {node.name}")
     assert not silent
+
+
+def kernels_of(path: Path) -> dict[str, str]:
+    """Return the compiled functions of a file, and how each is marked."""
+    marked = {}
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for each in node.decorator_list if isinstance(node, ast.FunctionDef) else ():
+            if ast.unparse(each).startswith(("njit", "kernel")):
+                marked[node.name] = ast.unparse(each)
+    return marked
+
+
+def test_a_file_whose_kernels_use_those_of_another_marks_all_as_kernel() -> None:
+    everywhere = {path: kernels_of(path) for path in MODULES}
+    modules = {".".join(("rangecam", *path.relative_to(PACKAGE).with_suffix("").parts)): path for path in MODULES}
+    stale = []
+    for path, kernels in everywhere.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        froms = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module in modules]
+        foreign = {a.asname or a.name for f in froms for a in f.names if a.name in everywhere[modules[str(f.module)]]}
+        bodies = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name in kernels]
+        used = {name.id for body in bodies for name in ast.walk(body) if isinstance(name, ast.Name)} & foreign
+        if used and any(mark.startswith("njit") for mark in kernels.values()):
+            stale.append(f"{path.relative_to(PACKAGE)}: {sorted(used)}")
+    assert not stale

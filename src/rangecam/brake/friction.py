@@ -128,7 +128,7 @@ def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:
     time_s, gap_m, speed_mps = np.array(stop.gaps).T
     if not np.abs(speed_mps[: stop.before] - v0).max(initial=0.0) <= s.steady * v0:
         return None
-    starts = [(a, time_s[0] + s.before_s, gap_m[0]) for a in _STARTS_MPS2]
+    starts = _starts(stop.gaps, s.before_s)
     fits = [least_squares(_misfit, start, method="lm", args=(time_s, gap_m, v0)) for start in starts]
     fit = min(fits, key=lambda each: each.cost)
     a, bites_s, _ = fit.x
@@ -146,6 +146,11 @@ def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:
     spread = float(np.linalg.inv(slopes.T @ slopes)[0, 0]) * max(scatter_m, s.distance_sigma_m) ** 2
     mu = a / GRAVITY_MPS2
     return mu, spread / GRAVITY_MPS2**2 + (s.model * mu) ** 2
+
+
+def _starts(gaps: tuple[Gap, ...], before_s: float) -> list[tuple[float, float, float]]:
+    """Return where the fit begins, in turn."""
+    return [(a, gaps[0].time_s + before_s, gaps[0].distance_m) for a in _STARTS_MPS2]
 
 
 _STARTS_MPS2 = 0.5, 2.0, 8.0  # from one alone the fit may end beside the best

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from rangecam.classify.features import FEATURES, is_resolved, observe
 from rangecam.classify.settings import ClassificationSettings
+from rangecam.compiled import kernel
 from rangecam.errors import DataError
 from rangecam.types import CLASSES, Ego, Floats, Ints, Segments, Tracks, TrackStatus
 from rangecam.values import changed
@@ -138,7 +138,7 @@ def _arrays(model: Model) -> tuple[Any, ...]:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _classify(
     features: Any,
     feature: Any,
@@ -166,7 +166,7 @@ def _classify(
             probability[i, 1 + k] = (1.0 - unknown) * told[i, k]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _probabilities(
     features: Any,
     feature: Any,

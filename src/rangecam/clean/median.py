@@ -7,10 +7,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from rangecam.clean.neighbours import Kept, singles, span
 from rangecam.clean.settings import CleanSettings
+from rangecam.compiled import kernel
 from rangecam.types import Floats, Ints
 
 _ZERO, _ONE, _TWO, _HALF, _HUGE = singles(0, 1, 2, 0.5, 3e38)
@@ -45,7 +45,7 @@ def window_rules(settings: CleanSettings) -> Floats:
     return np.array([all_of_them, -np.inf if settings.window == "3x1" else all_of_them], np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _median(why: Ints, around: Floats, window: Floats, floor: Floats, middles: Floats, spread: Floats) -> None:
     """Take the middle of nine, where a pair that takes no part is replaced with -huge and +huge."""
     unwanted = np.empty(middles.shape[1], np.uint8)
@@ -87,7 +87,7 @@ def _median(why: Ints, around: Floats, window: Floats, floor: Floats, middles: F
             sigma[x] = noise if w1[x + 1] > _ZERO else sigma[x]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _unwanted(around: Floats, floor: Floats, y: int, unwanted: Ints) -> None:
     """Mark the pixels of a row that were refused or see the floor for sure: no median is below the least value."""
     here = slice(1, len(unwanted) + 3)
@@ -100,18 +100,18 @@ def _unwanted(around: Floats, floor: Floats, y: int, unwanted: Ints) -> None:
         unwanted[x] = 0 if (value == value) & (least <= limit[x]) else 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _less(value: float, least: float) -> float:
     return value if value < least else least
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def both(one: float, other: float, value: float, reach_one: float, reach_other: float) -> Any:
     """Return whether two pixels that lie opposite to each other are both within reach of a value."""
     return (abs(one - value) <= reach_one) & (abs(other - value) <= reach_other)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def middle(v0: Any, v1: Any, v2: Any, v3: Any, v4: Any, v5: Any, v6: Any, v7: Any, v8: Any) -> Any:
     """Return the median of nine: the network of Steinbäck 2016, A.8, but for exchanges that do not reach the middle."""
     v1, v2 = _order(v1, v2)
@@ -135,19 +135,19 @@ def middle(v0: Any, v1: Any, v2: Any, v3: Any, v4: Any, v5: Any, v6: Any, v7: An
     return _order(v4, v2)[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _order(a: float, b: float) -> tuple[float, float]:
     return (a if a < b else b), (b if a < b else a)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def uneven_part(taken: bool, one: float, other: float) -> Any:
     """Return the squared half difference of a pair, if it takes part."""
     half = _HALF * (one - other)
     return half * half if taken else _ZERO
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def variance_of_median(n: float, steep: float) -> Any:
     """Return the variance of the median of n values of variance 1, n = 1, 3, 5, 7 or 9."""
     level, rise, half = _ONE, _ZERO, HALF9

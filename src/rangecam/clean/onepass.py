@@ -12,7 +12,6 @@ are laid into one function (`forceinline`), because handing a dozen arrays to ea
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
@@ -20,6 +19,7 @@ from rangecam.clean.limits import REFUSE
 from rangecam.clean.median import HALF9, RISE9, V9, both, middle, uneven_part, variance_of_median, window_rules
 from rangecam.clean.neighbours import RIM, singles, tolerance_rules
 from rangecam.clean.settings import CleanSettings
+from rangecam.compiled import kernel
 from rangecam.types import Floats, Ints, Why
 
 _WEAKEST, _WRAPS, _NEAREST, _SEEN, _ENTRY, _EXIT, _NEEDED = (np.uint64(plane) for plane in range(7))
@@ -81,7 +81,7 @@ def limits_in_one(
     return np.concatenate(planes, dtype=np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _clean(
     range_m: Floats, sigma_m: Floats, amplitude: Floats, why: Ints, limits: Floats, images: Floats, reason: Ints
 ) -> None:
@@ -129,7 +129,7 @@ def _clean(
         begin_before, end_before, begin, end = begin, end, first, last
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _blank(work: Floats, start: Any, number: Any) -> None:
     """Let nothing be there; what a comparison with it adds to the reach does not matter."""
     for i in range(number):
@@ -137,7 +137,7 @@ def _blank(work: Floats, start: Any, number: Any) -> None:
         work[_K + start + _U(i)] = _NAN
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _begin_again(work: Floats, words: Any, number: Any) -> None:
     """Move what is still needed of the last three rows to the first slots."""
     shift = _U(_SLOTS - 3) * _ROW
@@ -152,7 +152,7 @@ def _begin_again(work: Floats, words: Any, number: Any) -> None:
         words[word] = words[_U(_SLOTS - 3) * _WORDS + _U(word)]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _span(why: Ints, here: Any, width: Any) -> Any:
     """Return where a row begins and ends to be valid, in whole blocks; twice zero if it never does."""
     least = np.uint8(255)
@@ -168,7 +168,7 @@ def _span(why: Ints, here: Any, width: Any) -> Any:
     return begin // _8 * _8, min((end + _U(7)) // _8 * _8, width)
 
 
-@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
+@kernel(forceinline=True, error_model="numpy")
 def _come(
     range_m: Floats, sigma_m: Floats, why: Ints, here: Any, width: Any, rules: Floats, work: Floats, at: Any
 ) -> None:
@@ -181,7 +181,7 @@ def _come(
         work[_T + b] = constant + factor * sigma_m[a]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _surround(work: Floats, at: Any, begin: Any, end: Any, width: Any) -> None:
     """Let nothing be kept before and behind the judged part of a row."""
     for i in range(begin):
@@ -190,14 +190,14 @@ def _surround(work: Floats, at: Any, begin: Any, end: Any, width: Any) -> None:
         work[_K + at + end + _U(i)] = _NAN
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _pack(codes: Ints, at: Any, begin: Any, end: Any, flags: Ints, place: Any) -> None:
     """Put the flags of a row together, eight in a word."""
     for i in range(end - begin):
         flags[place + begin + _U(i)] = codes[_F + at + begin + _U(i)]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _leave(
     range_m: Floats, sigma_m: Floats, why: Ints, work: Floats, codes: Ints, at: Any, here: Any, width: Any, size: Any,
     images: Floats, reason: Ints,
@@ -212,7 +212,7 @@ def _leave(
         reason[a] = code if was == _NONE else was
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _pass_on(
     range_m: Floats, sigma_m: Floats, why: Ints, here: Any, width: Any, size: Any, images: Floats, reason: Ints
 ) -> None:
@@ -225,7 +225,7 @@ def _pass_on(
         reason[here + _U(i)] = why[here + _U(i)]
 
 
-@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
+@kernel(forceinline=True, error_model="numpy")
 def _judge(
     sigma_m: Floats, amplitude: Floats, limits: Floats, here: Any, size: Any, needed: Any, work: Floats, codes: Ints,
     at: Any, begin: Any, end: Any,
@@ -258,12 +258,12 @@ def _judge(
         codes[_R + b] = first
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _common(other: float, value: float, reach: float) -> Any:
     return _KEPT_BIT if abs(other - value) <= reach else _NONE
 
 
-@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
+@kernel(forceinline=True, error_model="numpy")
 def _filter(
     limits: Floats, here: Any, size: Any, work: Floats, codes: Ints, at: Any, begin: Any, end: Any, kinds: Any,
     rules: Floats,
@@ -289,7 +289,7 @@ def _filter(
         _cut(limits, rules[4], here + x, size, work, codes, at + x, min(_8 * unwanted, end) - x)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _sort_blocks(words: Any, slot: Any, first: Any, stop: Any, whole: bool, kinds: Any) -> None:
     """Say of each block whether no median matters, all neighbours are common, or anything else.
 
@@ -309,7 +309,7 @@ def _sort_blocks(words: Any, slot: Any, first: Any, stop: Any, whole: bool, kind
         kinds[first + _U(k)] = (_PLAIN if complete else _GENERAL) if wanted else _NO
 
 
-@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
+@kernel(forceinline=True, error_model="numpy")
 def _plain_median(work: Floats, start: Any, number: Any) -> None:
     """Take the median of nine pixels that all take part."""
     for i in range(number):
@@ -329,7 +329,7 @@ def _plain_median(work: Floats, start: Any, number: Any) -> None:
         work[_S + b + _1] = np.sqrt(V9 + RISE9 * steep / (steep + HALF9)) / precision
 
 
-@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
+@kernel(forceinline=True, error_model="numpy")
 def _median(work: Floats, start: Any, number: Any, in_row: Any, off_row: Any) -> None:
     """Take the median of the pairs of common neighbours; a pair that takes no part is -huge and +huge (`median`)."""
     for i in range(number):
@@ -364,7 +364,7 @@ def _median(work: Floats, start: Any, number: Any, in_row: Any, off_row: Any) ->
         work[_S + b + _1] = noise if here else sigma
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _cut(limits: Floats, factor: Any, here: Any, size: Any, work: Floats, codes: Ints, at: Any, number: Any) -> None:
     """Refuse filtered pixels that see the floor or lie outside the area of interest."""
     for i in range(number):

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from rangecam.compiled import kernel
 from rangecam.cw.phasor import turns as _polynomial_turns
 from rangecam.types import Floats, Ints
 
@@ -95,7 +95,7 @@ def _mapped(kernel: Callable[..., Any], imaginary: Floats, real: Floats) -> Floa
     return phase
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _fold(y: Any, x: Any, eighth: Any) -> Any:
     """Return the point turned into the first octant and the angle by which it was turned back, in units of `eighth`.
 
@@ -112,7 +112,7 @@ def _fold(y: Any, x: Any, eighth: Any) -> Any:
     return y, x, back
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _by_table(imaginary: Any, real: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         y, x, back = _fold(imaginary[i], real[i], _QUARTER_PI)
@@ -121,14 +121,14 @@ def _by_table(imaginary: Any, real: Any, phase: Any) -> None:
         phase[i] = back + _TABLE[entry] + (place - entry) * (_TABLE[entry + 1] - _TABLE[entry])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _by_nearest(imaginary: Any, real: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         y, x, back = _fold(imaginary[i], real[i], _QUARTER_PI)
         phase[i] = back + _TABLE[int(_STEPS * y / x + 0.5) if x > 0 else 0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def integer_angle(y: Any, x: Any, table: Any) -> Any:
     """Return the angle of a point of whole numbers in 2^-27 rad, 0 to one turn less one (kernel of `fixed_point`).
 
@@ -145,14 +145,14 @@ def integer_angle(y: Any, x: Any, table: Any) -> Any:
     return back + low + (((high - low) * (place & ((1 << FRACTION_BITS) - 1))) >> FRACTION_BITS)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _by_integer_table(imaginary: Any, real: Any, table: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         angle = integer_angle(np.int64(imaginary[i]), np.int64(real[i]), table)
         phase[i] = angle * (1.0 / (1 << ANGLE_BITS))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _by_cordic(imaginary: Any, real: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         y, x, back = _fold(imaginary[i], real[i], _QUARTER_PI)
@@ -167,13 +167,13 @@ def _by_cordic(imaginary: Any, real: Any, phase: Any) -> None:
         phase[i] = _within_turn(back + angle)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _within_turn(angle: Any) -> Any:
     """Return an angle that rounding has taken out of 0..2 pi to its nearest end."""
     return min(max(angle, 0.0), _TWO_PI)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _by_taylor(imaginary: Any, real: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         y, x, back = _fold(imaginary[i], real[i], _QUARTER_PI)
@@ -187,7 +187,7 @@ def _by_taylor(imaginary: Any, real: Any, phase: Any) -> None:
         phase[i] = _within_turn(back + angle)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _by_chebyshev(imaginary: Any, real: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         y, x, back = _fold(imaginary[i], real[i], _QUARTER_PI)
@@ -202,14 +202,14 @@ def _by_chebyshev(imaginary: Any, real: Any, phase: Any) -> None:
         phase[i] = _within_turn(back + angle)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _by_libm(imaginary: Any, real: Any, phase: Any) -> None:
     for i in range(imaginary.size):
         angle = math.atan2(imaginary[i], real[i])
         phase[i] = angle + _TWO_PI if angle < 0 else max(angle, 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _by_polynomial(imaginary: Any, real: Any, phase: Any) -> None:
     turn, zero = np.float32(_TWO_PI), np.float32(0)
     for i in range(imaginary.size):

@@ -9,8 +9,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from rangecam.compiled import kernel
 from rangecam.cw.block import INNER, RIM, WIDTH, blind, load, record_types, store, store_phases
 from rangecam.cw.phasor import (
     add_neighbours,
@@ -83,7 +83,7 @@ def _places(reach: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     return beside, tuple(place for place in beside if place != RIM) or beside
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _decode(planes: Any, model: Any, rules: Any, scales: Any, extent: Any, scratch: Any, results: Any) -> None:
     to_real, to_imaginary, noise = model
     (rule, limits, plan), (offsets, ratios), (pseudo_rows, beside, around) = rules, scales, extent
@@ -121,7 +121,7 @@ def _decode(planes: Any, model: Any, rules: Any, scales: Any, extent: Any, scrat
                 store_phases(block, y, column, turns)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _phases(here: Any, block: Any, offsets: Any, limits: Any, error: Any) -> None:
     """Fill the phases in turns, one over their variance, and the mean amplitude; refuse weak pixels.
 
@@ -147,7 +147,7 @@ def _phases(here: Any, block: Any, offsets: Any, limits: Any, error: Any) -> Non
         judged[i] = _LOW_AMPLITUDE if weak & (why[i] == _VALID) else why[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _single(block: Any, wavelength_m: Any) -> None:
     """Fill the range of the only frequency."""
     cycles, certainty, range_m, sigma_m = block["cycles"], block["certainty"], block["range_m"], block["sigma_m"]

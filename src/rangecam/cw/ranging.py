@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import Any, TypeGuard
 
 import numpy as np
-from numba import njit
 
+from rangecam.compiled import kernel
 from rangecam.cw.decoding import decode
 from rangecam.cw.phasor import turns as turns_of
 from rangecam.cw.sequence import plane_names
@@ -120,7 +120,7 @@ def _ready(planes: tuple[Image | None, ...]) -> TypeGuard[tuple[Image, ...]]:
 _UINT16, _FLOAT32 = np.dtype(np.uint16), np.dtype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "nsz"})
 def _four_phase(
     c0: Any, c90: Any, c180: Any, c270: Any, limits: Any, settings: Any, images: Any, why: Any
 ) -> None:  # fmt: skip
@@ -164,7 +164,7 @@ def _four_phase(
         _refuse_broken(range_m, sigma_m, amplitude, why)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _refuse_broken(range_m: Any, sigma_m: Any, amplitude: Any, why: Any) -> None:
     """Refuse what came from samples that are NaN or infinite, which only floating-point numbers can be."""
     for i in range(why.size):
@@ -175,7 +175,7 @@ def _refuse_broken(range_m: Any, sigma_m: Any, amplitude: Any, why: Any) -> None
         why[i] = why[i] if finite else _NOT_FINITE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _judge_limits(c0: Any, c90: Any, c180: Any, c270: Any, least: Any, most: Any, why: Any) -> None:
     for i in range(why.size):
         s0, s90, s180, s270 = c0[i], c90[i], c180[i], c270[i]
@@ -188,13 +188,13 @@ def _judge_limits(c0: Any, c90: Any, c180: Any, c270: Any, least: Any, most: Any
         why[i] = _SATURATED if (smallest < least) & (reason == _VALID) else reason
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _larger(a: Any, b: Any) -> Any:
     """Return the larger one; unlike `max` without a case for NaN, which would cost the vector instructions."""
     return a if a > b else b
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _smaller(a: Any, b: Any) -> Any:
     return a if a < b else b
 

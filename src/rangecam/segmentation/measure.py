@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from rangecam.compiled import kernel
 from rangecam.geometry import Lens, Mounting, is_plain, pixel_pitch, pixel_steps, point_covariance, position, rotation
@@ -100,7 +99,7 @@ def _angles(lens: Lens, shape: tuple[int, int]) -> Floats:
     return np.zeros((0, 0, 2)) if is_plain(lens) else np.linalg.norm(pixel_steps(lens, shape), axis=-1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _number(labels: Ints) -> int:
     most = np.int32(0)
     for row in range(labels.shape[0]):
@@ -146,7 +145,7 @@ def _measure(
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sum(labels: Any, points: Any, range_m: Any, sigma_m: Any, amplitude: Any, sums: Any, bounds: Any, box: Any) -> Any:
     """Sum, run by run of one label in a row: number; points, their squares; range, sigma squared, amplitude."""
     height, width = labels.shape
@@ -187,7 +186,7 @@ def _sum(labels: Any, points: Any, range_m: Any, sigma_m: Any, amplitude: Any, s
             box[k, 2], box[k, 3] = max(box[k, 2], row + 1), max(box[k, 3], column)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _any(labels: Ints, row: int) -> bool:
     seen = np.int32(0)
     for column in range(labels.shape[1]):
@@ -195,7 +194,7 @@ def _any(labels: Ints, row: int) -> bool:
     return bool(seen != 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(labels: Any, points: Any, sums: Any, bounds: Any, box: Any, fraction: Any, nearest_m: Any) -> Any:
     """Find the nearest point of each segment.
 
@@ -227,7 +226,7 @@ def _nearest(labels: Any, points: Any, sums: Any, bounds: Any, box: Any, fractio
 _NEAR_BINS = 32
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _evaluate(
     sums: Any,
     bounds: Any,

@@ -3,8 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from rangecam.compiled import kernel
 from rangecam.cw.arctangent import ANGLE_BITS, INTEGER_TABLE, TURN, integer_angle
 from rangecam.cw.fixed_point.program import COSINE_BITS, FACTOR_BITS, HALF_COSINE, Program
 from rangecam.types import Ints, Why
@@ -57,7 +57,7 @@ def integer_chain(words: Ints, program: Program) -> IntegerImages:
     return IntegerImages(distance, judged, converted, square, why)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distances(words: Any, conversion: Any, constants: Any, table: Any, converted: Any, square: Any) -> None:
     """The distance calculation loop of alg 4.1, up to the camera angle conversion of alg 4.2."""
     sign, offset, factor = constants[0], constants[1], constants[2]
@@ -73,7 +73,7 @@ def _distances(words: Any, conversion: Any, constants: Any, table: Any, converte
             square[row, column] = (real * real + imaginary * imaginary) >> 2  # alg 4.1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _thresholds(converted: Any, square: Any, weakest: Any, wrapped: Any, why: Any) -> None:
     """Amplitude thresholds 1 and 2, both sides squared (eqs 3.17-3.18, E-S-16), with the plane's distance (E-S-22)."""
     for row in range(why.shape[0]):
@@ -90,7 +90,7 @@ def _thresholds(converted: Any, square: Any, weakest: Any, wrapped: Any, why: An
             why[row, column] = reason
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _common_neighbours(converted: Any, constants: Any, why: Any) -> None:
     """Discard pixels with too few common neighbours, in the image before the thresholds (eqs 2.8-2.9)."""
     needed, tolerance = constants[3], constants[4]
@@ -105,7 +105,7 @@ def _common_neighbours(converted: Any, constants: Any, why: Any) -> None:
                 why[row, column] = _ISOLATED
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _median(judged: Any, constants: Any, filtered: Any, why: Any) -> None:
     """Sort each neighbourhood by the network of 25 exchanges (A.8) and take the middle of what was not discarded."""
     median, fill_holes, marker = constants[5], constants[6], constants[8]
