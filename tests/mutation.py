@@ -1,4 +1,4 @@
-"""Mutation test of the safety core: `python tests/mutation.py [MODULE ...]`, for the night (minutes on two cores).
+"""Mutation test of the safety core: `python tests/mutation.py [MODULE[:FUNCTION] ...]`, for the night (an hour).
 
 Every comparison, constant, operator, negation and branch of a module is changed, one at a time, in memory; the module's
 tests must then fail. What survives is printed, and is an error unless it stands in `tests/mutants_accepted.txt`
@@ -165,7 +165,8 @@ def main(names: list[str]) -> int:
     lines = (TESTS / "mutants_accepted.txt").read_text(encoding="utf-8").splitlines()
     accepted = {line.split(" # ")[0].strip() for line in lines if line.strip() and not line.startswith("#")}
     bad = 0
-    for target in names or TARGETS:
+    for wanted in names or TARGETS:
+        target, _, function = wanted.partition(":")
         path = SOURCE / (target.replace(".", "/") + ".py")
         made = survived = known = 0
         start_s = time.monotonic()
@@ -173,6 +174,8 @@ def main(names: list[str]) -> int:
             print(f"{target}: its tests fail without any mutant", flush=True)
             return 1
         for name, tree in mutants(parsed(path)):
+            if not name.startswith(f"{function}:" if function else ""):
+                continue
             made += 1
             if survives(f"rangecam.{target}", tree, path, TARGETS[target]):
                 survived += 1
