@@ -10,7 +10,7 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.filter import largest
 from rangecam.tracking.rules import GONE
-from rangecam.tracking.sighting import ACROSS, LEFT, UP, one_sided
+from rangecam.tracking.sighting import ACROSS, LEFT, UP, one_sided, widened
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
@@ -158,8 +158,8 @@ def _reshape(
                 short = cut[j] & (UP if a == 2 else ACROSS) != 0 and a > 0
                 if not short or size[j, a] > old[0][i, a]:
                     new_size[i, a] += weight * (size[j, a] - old[0][i, a])
-            if one_sided(cut[j]):  # as `sighting.grows` has moved its middle
-                memory[i, _PLACED] += weight * max(sides[j, 0] - sides[j, 1] - memory[i, _PLACED], 0.0)
+            if one_sided(cut[j]):
+                memory[i, _PLACED] += widened(sides[j, 0] - sides[j, 1], memory[i, _PLACED], weight)
                 memory[i, _SIDE] = 1.0 if cut[j] & LEFT != 0 else -1.0
             else:
                 memory[i, _PLACED] += weight * (size[j, 1] - memory[i, _PLACED])

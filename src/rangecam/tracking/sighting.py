@@ -69,8 +69,13 @@ def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Flo
 @kernel
 def grows(end: Floats, memory: Floats, weight: float) -> float:
     """Return by how much the middle of a track moves because it is seen to be wider than it was placed by."""
-    wider = end[2] - memory[_PLACED]
-    return end[1] * weight * wider / 2 if end[1] != 0 and wider > 0 else 0.0
+    return end[1] * widened(end[2], memory[_PLACED], weight) / 2 if end[1] != 0 else 0.0
+
+
+@kernel
+def widened(seen: float, placed: float, weight: float) -> float:
+    """Return by how much the width grows that a track is placed by, when it is seen to be so wide."""
+    return weight * (seen - placed) if seen > placed else 0.0
 
 
 @kernel
