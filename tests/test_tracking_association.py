@@ -508,6 +508,33 @@ def test_the_speed_of_what_comes_into_sight_is_as_uncertain_as_it_says() -> None
     assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.2  # its process noise is not there
 
 
+@pytest.mark.parametrize("missing", [0.1, 0.5, 1.0])
+def test_of_what_leaves_the_image_the_depth_is_as_uncertain_as_the_share_of_its_width_that_is_missing(
+    missing: float,
+) -> None:
+    """0.5 m wide and 0.2 m deep; what is seen for the first time may be missing anything."""
+    start = follow([seen([3.0, 0.3, 0.9])] * 8)[-1] if missing < 1 else Tracks.empty()
+    width = 0.5 * (1 - missing) if missing < 1 else 0.5
+    cut = seen([3.0, 0.05 + width / 2, 0.9], width=width, cut=int(Cut.LEFT))
+    expected = seen([3.0, 0.3, 0.9])
+    expected.covariance_m2[0, 0, 0] += (PLAIN.cut_sigma * 0.2 * missing) ** 2
+    one, other = (update_tracks(start, each, 0.4, PLAIN) for each in (cut, expected))
+    assert len(one.age) == len(other.age) == 1
+    assert one.covariance[0, 0, 0] == pytest.approx(other.covariance[0, 0, 0], rel=0.02)
+
+
+def test_what_fills_the_image_more_and_more_goes_on_closing_in() -> None:
+    """A car ahead, 0.34 m wide and 0.3 m deep, that we come up to at 0.4 m/s until half of it is beside the image."""
+    frames = []
+    for k in range(60):
+        x, width = 1.0 - 0.4 * k / 30, 0.34 * min(1.0, 1.5 - k / 60)
+        frames.append(seen([x, 0.2 - (0.34 - width) / 2, 0.2], width, 0.2, 1e-4, int(Cut.LEFT) if width < 0.34 else 0))
+    steps = follow(frames, dataclasses.replace(PLAIN, end_sigma_m=0.02), 1 / 30)
+    assert len(steps[-1].age) == 1
+    for step in steps[40:]:
+        assert -step.state[0, 1] > 2 * np.sqrt(step.covariance[0, 1, 1])
+
+
 def test_the_filter_of_several_modes_follows_an_end_as_one_does() -> None:
     both = dataclasses.replace(PLAIN, motion=MotionSettings(modes=(PLAIN.motion, PLAIN.motion)))
     frames = [seen([6.0, 0.9 - 0.02 * k, 0.9], width=0.1 + 0.02 * k, cut=int(Cut.LEFT)) for k in range(6)]

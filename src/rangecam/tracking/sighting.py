@@ -11,6 +11,8 @@ ACROSS, UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM 
 """What cuts an object short beside it, and above or below it."""
 LEFT, RIGHT = int(Cut.LEFT | Cut.HIDDEN_LEFT), int(Cut.RIGHT | Cut.HIDDEN_RIGHT)
 """What cuts it short at one side."""
+BESIDE = int(Cut.LEFT | Cut.RIGHT)
+"""What leaves the image at a side, or comes into it."""
 _SPREAD, _PLACED, _SIDE = (MEMORY.index(name) for name in ("log_width_variance", "placed_width", "placed_side"))
 
 
@@ -32,13 +34,17 @@ def complete(covariance: Floats, size: Floats, cut: Ints, rules: Floats, R: Floa
 def unseen(
     x: Floats, P: Floats, memory: Floats, seen: tuple[Floats, Floats, Ints], rules: Floats, R: Floats, by_ends: bool
 ) -> None:
-    """Raise the covariances of what is cut short and may be part of a larger track, in place.
+    """Change the covariances of what is cut short and may be part of a larger track, in place.
 
     seen: position, size, cut of the segments. Seen is w of a width W: the centre lies anywhere within (W - w) / 2 of
-    what is seen. by_ends: what is cut at one side is placed by its other end, see `ends`.
+    what is seen. by_ends: what is cut at one side is placed by its other end, see `ends`; and where the image ends
+    beside it, the middle of its depth is as unknown as the share of its width that is missing: a thing ahead that is
+    about to fill the image does not cease to close in.
     """
     position, size, cut = seen
     for j in range(cut.size):
+        if by_ends and cut[j] & BESIDE != 0:
+            R[j, 0, 0] -= rules[16] * size[j, 0] ** 2 * (1 - _share(x, P, memory, position[j], R[j], size[j]) ** 2)
         for a in range(1, 3):
             if cut[j] & (ACROSS if a == 1 else UP) != 0 and not (by_ends and a == 1 and one_sided(cut[j])):
                 R[j, a, a] += rules[16] * _missing(x, P, memory, position[j], R[j], size[j], a) ** 2
@@ -114,6 +120,20 @@ def _missing(x: Floats, P: Floats, memory: Floats, position: Floats, R: Floats, 
         if beside and ahead:
             missing = max(missing, whole - size[a])
     return missing
+
+
+@kernel
+def _share(x: Floats, P: Floats, memory: Floats, position: Floats, R: Floats, size: Floats) -> float:
+    """Return which share of the widest track a segment may lack that it may be part of; 1 if there is none."""
+    widest = 0.0
+    for i in range(len(x)):
+        whole = math.exp(memory[i, 0])
+        reach = (whole + size[1]) / 2 + 2 * math.sqrt(P[i, 3, 3] + R[1, 1])
+        beside = abs(x[i, 3] - position[1]) <= reach
+        ahead = abs(x[i, 0] - position[0]) <= 0.5 + 2 * math.sqrt(P[i, 0, 0] + R[0, 0])
+        if beside and ahead:
+            widest = max(widest, whole)
+    return min(max(1 - size[1] / widest, 0.0), 1.0) if widest > 0 else 1.0
 
 
 @kernel
