@@ -158,6 +158,35 @@ def test_a_post_on_our_arc_hits_us_in_the_middle(speed_known: bool) -> None:
     assert straight.lateral_m[0] < -0.9
 
 
+def in_path(tracks: Tracks, ego: Ego) -> bool:
+    settings = CorridorSettings(width_m=2.0, length_m=4.3, **CERTAIN)
+    return bool(look_ahead(tracks, ego, settings, 0.5)[1])
+
+
+def standing(x: float, y: float, ego: Ego) -> list[float]:
+    """The state of what stands there."""
+    speed, yaw_rate = float(ego.speed_mps or 0.0), ego.yaw_rate_radps
+    return [x, yaw_rate * y - speed, 0, y, -yaw_rate * x, 0]
+
+
+def test_in_a_bend_the_corridor_is_our_arc_not_the_straight_on() -> None:
+    for side in (1.0, -1.0):
+        straight, bend = Ego(speed_mps=5.0), Ego(speed_mps=5.0, yaw_rate_radps=side * 0.125)  # radius 40 m
+        on_arc = side * (40 - math.sqrt(40**2 - 15**2))  # 2.9 m
+        for y, ahead, on_our_arc in ((0.0, True, False), (on_arc, False, True)):
+            assert in_path(one_track(standing(15, y, straight), 1e-4), straight) == ahead
+            assert in_path(one_track(standing(15, y, bend), 1e-4), bend) == on_our_arc
+        # farther away than the arc reaches
+        assert not in_path(one_track(standing(45, 0.0, bend), 1e-4), bend)
+
+
+def test_what_jumps_into_the_corridor_is_not_there_before_it_agrees_with_itself() -> None:
+    ego = Ego(speed_mps=5.0)
+    for nis, y, there in ((1.0, 0.8, True), (10.0, 0.8, False), (10.0, 0.2, True), (math.nan, 0.8, True)):
+        track = one_track(standing(6.0, y, ego), 0.01)
+        assert in_path(dataclasses.replace(track, nis=np.array([nis])), ego) == there
+
+
 def test_a_track_of_one_frame_is_no_likely_collision() -> None:
     P = np.diag([0.01, 25.0, 9.0, 0.01, 25.0, 9.0])
     assert predict(one_track([3, 0, 0, 0, 0, 0], P, size=(0.3, 0.5, 1.0)), horizon_s=2.0).p_collision[0] < 0.2

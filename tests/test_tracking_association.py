@@ -406,6 +406,29 @@ def test_over_the_ground_a_pole_stands_for_a_car_that_turns_and_brakes(
     assert still["vehicle"] > 3.0
 
 
+def test_where_the_wheel_is_turned_the_tracks_turn_with_our_axes_at_once() -> None:
+    settings, pole = dataclasses.replace(PLAIN, position_sigma_m=0.0), np.array([20.0, -2.0])
+    tracks, heading, speed_mps, yaw_rate = Tracks.empty(), 0.0, 10.0, 0.25
+    at = np.zeros(2)
+    for k in range(60):
+        yaw = yaw_rate if k >= 40 else 0.0
+        turned = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+        x, y = turned @ (pole - at)
+        before, ego = tracks, Ego(speed_mps=speed_mps, yaw_rate_radps=yaw)
+        tracks = update_tracks(tracks, seen([x, y, 0.5], variance=1e-4), 0.02 * k, settings, ego)
+        true = np.array([-speed_mps + yaw * y, -yaw * x])
+        if 38 <= k <= 41:  # 12 m ahead the pole moves across by 3 m/s from one frame to the next
+            np.testing.assert_allclose(tracks.state[0, [1, 4]], true, atol=0.3)
+        for _ in range(20):
+            at = at + 1e-3 * speed_mps * np.array([np.cos(heading), np.sin(heading)])
+            heading += 1e-3 * yaw
+    assert np.linalg.eigvalsh(tracks.covariance[0]).min() > 0
+    for now in (Ego(yaw_rate_radps=0.1), Ego(speed_mps=None, yaw_rate_radps=0.1)):  # nobody knows how fast we turned
+        unknown = update_tracks(dataclasses.replace(before, ego=Ego()), NOTHING, before.time_s + 0.02, settings, now)
+        straight = update_tracks(dataclasses.replace(before, ego=now), NOTHING, before.time_s + 0.02, settings, now)
+        np.testing.assert_array_equal(unknown.state, straight.state)
+
+
 def test_without_an_own_speed_the_ground_is_that_of_the_vehicle() -> None:
     frames = [seen([9 - 0.1 * k, 0.1, 0]) for k in range(8)]
     ground = follow(frames, dataclasses.replace(PLAIN, frame="ground"))[-1]

@@ -73,12 +73,16 @@ def look(
         outline = (depth + limits[1]) / 2, (width + max(wide[i], 0.0)) / 2, limits[3]
         p_lateral = _collision(P, distance, where, outline, limits, points, z, new[:, i])
         now = distance + x[1] * lag
-        # where nothing was seen, a track goes on with a speed that nobody measures: it may not drift into the path
-        drifts = 0.0 if status[i] == _CONFIRMED else limits[10] * math.sqrt(P[3, 3])
-        inside = abs(x[3]) + drifts <= outline[1]
-        if abs(x[3]) > outline[1] and new[3, i] >= min_probability:
+        # where nothing was seen, a track goes on with a speed that nobody measures: it may not drift into the path;
+        # nor may it jump there, by what hardly agrees with it
+        surplus = max(nis[i] / 3, 1.0) if math.isfinite(nis[i]) else 1.0
+        doubt = surplus - 1 if status[i] == _CONFIRMED else 1.0
+        drifts = limits[10] * math.sqrt(doubt * P[3, 3])
+        aside = abs(x[3] - _way_aside(distance, yaw_rate, speed))
+        inside = aside + drifts <= outline[1]
+        if aside > outline[1] and new[3, i] >= min_probability:
             seen = hits[i] if status[i] == _CONFIRMED and hits[i] >= limits[12] * age[i] else 0
-            inside = _comes_in(x, P, seen, nis[i], where, outline, limits, yaw_rate)
+            inside = _crosses(x, P, seen, surplus, limits, yaw_rate)
         if inside and now + depth > 0 and math.isfinite(now) and status[i] != _TENTATIVE:
             at = found
             while at > 0 and path[at - 1, 0] > now:  # keeps the nearest first
@@ -96,23 +100,30 @@ def look(
 
 
 @njit(cache=True, nogil=True)
-def _comes_in(
-    x: Floats, P: Floats, hits: int, nis: float, where: Path, outline: Outline, limits: Floats, yaw_rate: float
-) -> bool:
-    """Return whether what is beside the corridor was seen to move into it, or our own bend takes us to it.
+def _way_aside(distance: float, yaw_rate: float, speed: float) -> float:
+    """Return y of our own way, the arc of the present turn, so far ahead; straight on where the speed is unknown.
+
+    What is farther ahead than the arc reaches is beside it.
+    """
+    if yaw_rate == 0 or not speed > 0 or not distance > 0:
+        return 0.0
+    radius = speed / yaw_rate
+    ahead = min(distance, abs(radius))
+    return radius - math.copysign(math.sqrt(radius * radius - ahead * ahead), radius)
+
+
+@njit(cache=True, nogil=True)
+def _crosses(x: Floats, P: Floats, hits: int, surplus: float, limits: Floats, yaw_rate: float) -> bool:
+    """Return whether what is beside the corridor was seen to move across our way.
 
     Across our way a standing object moves by our own turn alone. A speed that agrees with that, or that was measured in
     a few frames only, is taken for it: that of something which is cut by the image's edge while we pass it, or whose
     outermost pixels come and go, points into the path as often as out of it. Such tracks contradict themselves, too:
     where the last innovation is larger than its covariance says, the speed is so much less certain.
-    hits: frames in which it was seen, 0 if it is not seen now, or seldom.
+    hits: frames in which it was seen, 0 if it is not seen now, or seldom; surplus: of its innovation.
     """
-    turn = -yaw_rate * x[0]
-    surplus = max(nis / 3, 1.0) if math.isfinite(nis) else 1.0
-    if hits > 0 and hits >= limits[11] and abs(x[4] - turn) > limits[10] * math.sqrt(surplus * P[4, 4]):
-        return True
-    apart = contact((where[0], where[1], where[2], turn, where[4], where[5]), outline)[0]
-    return bool(apart <= limits[4] + limits[9])
+    apart = abs(x[4] + yaw_rate * x[0])
+    return hits > 0 and hits >= limits[11] and apart > limits[10] * math.sqrt(surplus * P[4, 4])
 
 
 @njit(cache=True, nogil=True)

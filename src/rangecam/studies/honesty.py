@@ -30,7 +30,7 @@ WELL_MODELLED: dict[str, Any] = {
 }
 """What the tracker expects is how the objects of the drives move: their velocity drifts."""
 OVERCONFIDENT: dict[str, Any] = {
-    "tracking": {"gate_probability": 1.0, "motion": {"velocity_drift_mps": 0.0}},
+    "tracking": {"gate_probability": 1.0, "extent_sigma": 0.0, "motion": {"velocity_drift_mps": 0.0}},
     "segments": {"sigma_systematic_m": 0.0, "edge_step": 0.0, "edge_jitter": 0.0},
 }
 """A model that is wrong on purpose: nothing moves but steadily, and nothing is measured badly but by noise. With the
@@ -138,7 +138,8 @@ def drive(seed: int, layers: Sequence[dict[str, Any]]) -> Outcome | None:
     for frame in run(frames(drawn.scenario, config, seed), config):
         nis.append(_confirmed_nis(frame.tracks))
         time_s = frame.tracks.time_s
-        tracks = update_tracks(tracks, _as_modelled(frame.segments, drawn, time_s, rng), time_s, config.tracking)
+        seen = _as_modelled(frame.segments, drawn, time_s, config.tracking.extent_sigma, rng)
+        tracks = update_tracks(tracks, seen, time_s, config.tracking)
         nis_as_modelled.append(_confirmed_nis(tracks))
     assert frame is not None  # a scenario has at least one frame
     return _judged(frame, drawn, config, (np.concatenate(nis), np.concatenate(nis_as_modelled)))
@@ -149,12 +150,20 @@ def _confirmed_nis(tracks: Tracks) -> Floats:
     return np.asarray(its[np.isfinite(its)])
 
 
-def _as_modelled(segments: Segments, drawn: Drive, time_s: float, rng: np.random.Generator) -> Segments:
-    """Return the largest segment where the object is, but for an error that is drawn from the segment's covariance."""
+def _as_modelled(
+    segments: Segments, drawn: Drive, time_s: float, extent_sigma: float, rng: np.random.Generator
+) -> Segments:
+    """Return the largest segment where the object is, but for an error that is drawn from what is stated of it.
+
+    That is the segment's covariance, and how far its middle wanders, a share of its size (`extent_sigma`).
+    """
     largest = np.argsort(-segments.n_pixels)[:1]
     its = motion(drawn.scenario.objects[0].path, time_s).position_m - (drawn.scenario.ego.speed_mps * time_s, 0.0, 0.0)
     kept = {key: values[largest] for key, values in vars(segments).items()}
-    errors = [rng.multivariate_normal(np.zeros(3), covariance) for covariance in kept["covariance_m2"]]
+    stated = [
+        R + np.diag((extent_sigma * size) ** 2) for R, size in zip(kept["covariance_m2"], kept["size_m"], strict=True)
+    ]
+    errors = [rng.multivariate_normal(np.zeros(3), covariance) for covariance in stated]
     position_m = its + np.array([0.0, 0.0, 0.7]) + np.array(errors).reshape(-1, 3)
     changed = {"position_m": position_m, "near_m": position_m[:, 0], "cut": np.zeros(len(largest), np.uint8)}
     return Segments(**{**kept, **changed})

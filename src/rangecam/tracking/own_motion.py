@@ -58,6 +58,29 @@ def carried(tracks: Tracks, ego: Ego, dt_s: float, rear_axle_m: float) -> tuple[
     ), own1
 
 
+def turned(tracks: Tracks, ego: Ego) -> Tracks:
+    """Return the tracks with velocities in axes that turn as fast as the vehicle does now, not as a frame ago.
+
+    In axes that turn by w the velocity of anything at r is less by w x r. Where the wheel is turned, what is 15 m ahead
+    moves across by metres a second from one frame to the next, which no model of its motion expects. Nothing changes
+    where nobody measured the own motion in one of both frames.
+    """
+    if tracks.ego is None or tracks.ego.speed_mps is None or ego.speed_mps is None or not len(tracks.age):
+        return tracks
+    change = _motion(ego)[1] - _motion(tracks.ego)[1]
+    if change == 0:
+        return tracks
+    J = np.eye(9)
+    J[1, 3], J[4, 0] = change, -change
+    return replace(
+        tracks,
+        state=tracks.state @ J.T,
+        covariance=J @ tracks.covariance @ J.T,
+        mode_state=tracks.mode_state @ J.T,
+        mode_covariance=J @ tracks.mode_covariance @ J.T,
+    )
+
+
 def braked(tracks: Tracks, variance: float) -> Tracks:
     """Return the tracks with so much more variance (m2/s4) of the acceleration along our way: ours has changed."""
     covariance, modes = tracks.covariance.copy(), tracks.mode_covariance.copy()

@@ -16,7 +16,7 @@ from rangecam.tracking.grouping import concerned
 from rangecam.tracking.groups import Grouped, regroup
 from rangecam.tracking.joint import marginals
 from rangecam.tracking.life import delete, initiate
-from rangecam.tracking.own_motion import braked, carried
+from rangecam.tracking.own_motion import braked, carried, turned
 from rangecam.tracking.rules import PAIRED, PAIRING, WHOLE, Seen, rules_of
 from rangecam.tracking.settings import TrackingSettings
 from rangecam.tracking.shape import memory_of, pair_shapes, shapes
@@ -75,6 +75,8 @@ def update_tracks(
     seen, own = _seen_in(segments), _STANDING
     if settings.frame == "ground":
         tracks, own = carried(tracks, ego, dt_s, settings.rear_axle_m)
+    else:
+        tracks = turned(tracks, ego)
     if ego.braking and settings.own_braking_mps2 > 0:
         tracks = braked(tracks, settings.own_braking_mps2**2 * dt_s / 0.1)
     rules = rules_of(settings)
