@@ -21,12 +21,11 @@ def lost_way(own_mps: float, object_mps: float, object_mps2: float, deceleration
 @njit(cache=True, nogil=True)
 def _lost_way(u: float, w: float, b: float, a: float, delay: float) -> float:
     stop = delay + u / a
-    stands = w / b if b > 0 and w > 0 else math.inf
+    # we get nearer as long as we are the faster one: until both are as fast, both braking, or else until we stand, for
+    # what stands no longer gains on us
+    even = delay + (u - w + b * delay) / (a - b) if a > b else stop
     most = 0.0
-    # the gap's rate changes its sign at an end of a stretch of constant accelerations, or within one
-    even = delay + (u - w + b * delay) / (a - b) if a > b else math.inf  # both as fast, both braking
-    alone = delay + u / a if stands < stop else math.inf
-    for t in (delay, min(max(even, delay), stop), min(max(stands, 0.0), stop), min(alone, stop), stop):
+    for t in (min(max(even, delay), stop), stop):
         most = max(most, _way(u, a, delay, t) - _way(w, b, 0.0, t))
     return most
 
