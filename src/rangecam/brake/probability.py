@@ -77,7 +77,7 @@ def _p_too_late(
     few: Floats,
 ) -> float:
     (gap, closing, b), (gap_sigma, sigma, covariance) = state, spread
-    slope = covariance / sigma**2 if sigma > 1e-9 else 0.0
+    slope = covariance / max(sigma, 1e-9) ** 2
     rest = math.sqrt(max(gap_sigma**2 - slope * covariance, 0.0))
     total = 0.0
     for j in range(few.shape[1]):
