@@ -95,6 +95,11 @@ def test_without_uncertainty_it_is_yes_or_no_at_the_way_that_is_lost() -> None:
     assert p_too_late(way - 1e-6, 3.0, *exact) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("closing_mps", [-1.0, 0.0])
+def test_what_does_not_close_in_is_never_too_late_however_little_is_known_of_the_gap(closing_mps: float) -> None:
+    assert p_too_late(0.01, closing_mps, (0.1, 0.0, 0.0), 0.0, (3.0, 2.943, 0.3), 0.25) == 0.0
+
+
 @hypothesis_settings(deadline=None)
 @given(st.floats(0.1, 10), st.floats(0.5, 8), st.floats(0, 1), st.floats(0, 2))
 def test_a_nearer_object_is_never_less_late(gap: float, speed: float, sigma: float, speed_sigma: float) -> None:
