@@ -27,8 +27,8 @@ from rangecam.io.udp.address import LOOPBACK
 from rangecam.scene.scenario import Scenario
 from rangecam.vehicle.unit import Control
 
-READY_S = 300.0
-"""So long processes may take to start, and to recover: kernels may have to be compiled."""
+READY_S = 900.0
+"""So long processes may take to start, and to recover: the first time kernels are compiled, which takes minutes."""
 STANDS_MPS = 0.02
 """At or below this true speed the car stands."""
 _STEADY_S = 0.3
