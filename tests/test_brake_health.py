@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from rangecam.brake.friction import Friction, FrictionSettings, Gap, after_stop, cautious, observe
+from rangecam.brake.friction import Friction, FrictionSettings, Gap, _misfit, _slopes, after_stop, cautious, observe
 from rangecam.brake.health import Health, HealthSettings, judge, perceived
 from rangecam.brake.machine import Fault, Perception
 from rangecam.types import Collisions, Decision, Frame, RangeImage, RawFrame, Segments, Tracks, TrackStatus, Why
@@ -295,6 +295,18 @@ def test_the_sigma_of_a_stop_is_that_of_a_general_fit_of_the_same_curve() -> Non
     found = after_stop(stop, replace(FRICTION, model=0.0))
     assert found.mu == pytest.approx(best[0] / 9.81, rel=1e-5)
     assert found.sigma == pytest.approx(math.sqrt(covariance[0, 0]) / 9.81, rel=1e-3)
+
+
+@pytest.mark.parametrize("a", [0.7, 2.0, 5.0])
+def test_the_derivatives_of_the_fit_are_those_of_differences(a: float) -> None:
+    time_s, known = np.linspace(0.2, 3.0, 41), np.array([a, 1.03, 4.0])
+    seen_m = np.zeros(41)
+    steps = [1e-6 * direction for direction in np.eye(3)]
+    apart = [
+        (_misfit(known + step, time_s, seen_m, 2.0) - _misfit(known - step, time_s, seen_m, 2.0)) / 2e-6
+        for step in steps
+    ]
+    np.testing.assert_allclose(_slopes(known, time_s, seen_m, 2.0), np.transpose(apart), atol=1e-6)
 
 
 def test_two_images_before_the_brakes_bite_and_six_until_standstill_are_enough_and_no_fewer() -> None:

@@ -129,7 +129,7 @@ def _fitted(stop: Friction, s: FrictionSettings) -> tuple[float, float] | None:
     if not np.abs(speed_mps[: stop.before] - v0).max(initial=0.0) <= s.steady * v0:
         return None
     starts = _starts(stop.gaps, s.before_s)
-    fits = [least_squares(_misfit, start, method="lm", args=(time_s, gap_m, v0)) for start in starts]
+    fits = [least_squares(_misfit, start, _slopes, method="lm", args=(time_s, gap_m, v0)) for start in starts]
     fit = min(fits, key=lambda each: each.cost)
     a, bites_s, _ = fit.x
     scatter_m = math.sqrt(fit.fun @ fit.fun / (len(time_s) - len(fit.x)))
@@ -162,6 +162,15 @@ def _misfit(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Flo
     a, bites_s, bites_m = max(float(parameters[0]), 1e-3), *parameters[1:]
     since_s = np.minimum(time_s - bites_s, v0 / a)
     return np.asarray(bites_m - v0 * since_s + a * np.maximum(since_s, 0.0) ** 2 / 2 - gap_m)
+
+
+def _slopes(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Floats:
+    """Return the derivatives of `_misfit` by a, t0 and d0 (N, 3)."""
+    a, bites_s = max(float(parameters[0]), 1e-3), float(parameters[1])
+    since_s = np.maximum(np.minimum(time_s - bites_s, v0 / a), 0.0)
+    moves = time_s - bites_s < v0 / a
+    by_a = np.where(moves, since_s**2 / 2, v0**2 / (2 * a**2))
+    return np.stack([by_a, np.where(moves, v0 - a * since_s, 0.0), np.ones(len(time_s))], axis=1)
 
 
 def cautious(friction: Friction, s: FrictionSettings) -> float | None:
