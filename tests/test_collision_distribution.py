@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 from rangecam.collision import CorridorSettings, look_ahead
-from rangecam.collision.kernels import _both_above
+from rangecam.collision.gaussian import both_above
 from rangecam.collision.points import gaussian_points
 from rangecam.types import QUANTILES, Collisions, Ego, Side, Tracks
 from test_collision import CERTAIN, correlated, one_track, predict, samples
@@ -213,11 +213,11 @@ def test_what_drifts_beside_us_still_hits_our_side_as_often_as_simulated_random_
 def test_two_correlated_variables_are_both_above_their_limits_as_often_as_scipy_says(r: float) -> None:
     both = multivariate_normal(cov=[[1, r], [r, 1]], allow_singular=True)
     for h, k in np.random.default_rng(7).uniform(-4, 4, (20, 2)):
-        assert _both_above(h, k, r) == pytest.approx(both.cdf([-h, -k]), abs=3e-4)
+        assert both_above(h, k, r) == pytest.approx(both.cdf([-h, -k]), abs=3e-4)
         near = h + 0.5 * math.sqrt(1 - r * r)  # where it differs from both being the same, and from none of both
-        assert _both_above(h, near, r) == pytest.approx(both.cdf([-h, -near]), abs=3e-4)
-    assert _both_above(9.0, 0.0, r) == pytest.approx(0.0, abs=1e-9)
-    assert _both_above(-9.0, 0.5, r) == pytest.approx(norm.cdf(-0.5), abs=1e-9)
+        assert both_above(h, near, r) == pytest.approx(both.cdf([-h, -near]), abs=3e-4)
+    assert both_above(9.0, 0.0, r) == pytest.approx(0.0, abs=1e-9)
+    assert both_above(-9.0, 0.5, r) == pytest.approx(norm.cdf(-0.5), abs=1e-9)
 
 
 # -- how near ---------------------------------------------------------------------------------------------------------

@@ -2,11 +2,15 @@
 
 - settings: the vehicle's outline and what is expected of objects
 - predict: `look_ahead`
-- kernels: its loops
+- kernels: its loops over tracks
+- arrival: when an object gets somewhere along one axis
+- outline: where a path touches the vehicle, how close it comes
+- touch: how probable that is
+- gaussian: distribution functions and roots of covariances
 - points: where a Gaussian distribution is looked at, where no closed form exists
 """
 
-from rangecam.collision.kernels import time_to_reach
+from rangecam.collision.arrival import time_to_reach
 from rangecam.collision.predict import InPath, look_ahead
 from rangecam.collision.settings import CorridorSettings
 

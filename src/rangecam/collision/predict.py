@@ -65,7 +65,7 @@ def look_ahead(
     acceleration they are those of 256 points of the distribution.
 
     p_collision: that the object touches our outline, both ends and sides included, within the horizon, from position,
-    speed and width together: see `kernels._p_contact`. Good to 0.02; 0 where one axis excludes it by 4 standard
+    speed and width together: see `touch.p_contact`. Good to 0.02; 0 where one axis excludes it by 4 standard
     deviations.
 
     In the path: confirmed tracks, also while they coast through missed frames, that overlap the corridor now or will
