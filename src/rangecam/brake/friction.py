@@ -159,18 +159,22 @@ _EARLY = 2  # images before the brakes bite, at least: they tell whether the obj
 
 def _misfit(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Floats:
     """Return free ways of the model less those seen, (N,), for a (kept above zero), t0 and d0 (the equation above)."""
-    a, bites_s, bites_m = max(float(parameters[0]), 1e-3), *parameters[1:]
-    since_s = np.minimum(time_s - bites_s, v0 / a)
-    return np.asarray(bites_m - v0 * since_s + a * np.maximum(since_s, 0.0) ** 2 / 2 - gap_m)
+    a, since_s = _since(parameters, time_s, v0)
+    return np.asarray(parameters[2] - v0 * since_s + a * np.maximum(since_s, 0.0) ** 2 / 2 - gap_m)
 
 
 def _slopes(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Floats:
     """Return the derivatives of `_misfit` by a, t0 and d0 (N, 3)."""
-    a, bites_s = max(float(parameters[0]), 1e-3), float(parameters[1])
-    since_s = np.maximum(np.minimum(time_s - bites_s, v0 / a), 0.0)
-    moves = time_s - bites_s < v0 / a
-    by_a = np.where(moves, since_s**2 / 2, v0**2 / (2 * a**2))
-    return np.stack([by_a, np.where(moves, v0 - a * since_s, 0.0), np.ones(len(time_s))], axis=1)
+    a, since_s = _since(parameters, time_s, v0)
+    moves, braked_s = since_s < v0 / a, np.maximum(since_s, 0.0)
+    by_a = np.where(moves, braked_s**2 / 2, v0**2 / (2 * a**2))
+    return np.stack([by_a, np.where(moves, v0 - a * braked_s, 0.0), np.ones(len(time_s))], axis=1)
+
+
+def _since(parameters: Floats, time_s: Floats, v0: float) -> tuple[float, Floats]:
+    """Return a, and how long the brakes have bitten (N,): negative before they do, at most until standstill."""
+    a = max(float(parameters[0]), 1e-3)
+    return a, np.minimum(time_s - parameters[1], v0 / a)
 
 
 def cautious(friction: Friction, s: FrictionSettings) -> float | None:

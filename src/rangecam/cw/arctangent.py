@@ -88,10 +88,10 @@ def polynomial(imaginary: Floats, real: Floats) -> Floats:
     return phase
 
 
-def _mapped(kernel: Callable[..., Any], imaginary: Floats, real: Floats) -> Floats:
+def _mapped(loop: Callable[..., Any], imaginary: Floats, real: Floats) -> Floats:
     imaginary, real = (np.ascontiguousarray(part, np.float64) for part in (imaginary, real))
     phase = np.empty(imaginary.shape)
-    kernel(imaginary.reshape(-1), real.reshape(-1), phase.reshape(-1))
+    loop(imaginary.reshape(-1), real.reshape(-1), phase.reshape(-1))
     return phase
 
 

@@ -28,7 +28,7 @@ from rangecam.scene.scenario import Scenario
 from rangecam.vehicle.unit import Control
 
 READY_S = 900.0
-"""So long processes may take to start, and to recover: the first time kernels are compiled, which takes minutes."""
+"""So long processes may take to start: the first time kernels are compiled, which takes minutes."""
 STANDS_MPS = 0.02
 """At or below this true speed the car stands."""
 _STEADY_S = 0.3

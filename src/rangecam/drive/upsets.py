@@ -10,7 +10,7 @@ from rangecam.brake.machine import Mode
 from rangecam.brake.rule import GRAVITY_MPS2
 from rangecam.config import Config
 from rangecam.drive.mind import brake_settings
-from rangecam.drive.rig import READY_S, STANDS_MPS, Rig
+from rangecam.drive.rig import STANDS_MPS, Rig
 from rangecam.drive.roles import SIGN_S, at_once
 from rangecam.drive.settings import DriveSettings
 from rangecam.errors import DataError
@@ -22,6 +22,7 @@ the car stands, that of the car for some tenths of a second."""
 _SLOW_MPS = 0.3
 """What is upset drives at least so fast."""
 _TRIES = 10
+_RECOVERS_S = 300.0  # at most; nothing is compiled anew
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def upset(rig: Rig, role: str, action: str, rng: np.random.Generator) -> Upset:
         rig.start(role)
     elif action == "freeze" and role != "car":
         rig.send(role, signal.SIGCONT)
-    recovered = rig.watch(READY_S, lambda: rig.ready and (not gone or _held(rig, began_s)))
+    recovered = rig.watch(_RECOVERS_S, lambda: rig.ready and (not gone or _held(rig, began_s)))
     recovered_s = round(rig.job.now_s() - helped_s, 3) if recovered else None
     claim = "is noticed" if gone else "stops"
     return Upset(role, action, round(speed, 3), claim, round(stated_s, 3), took_s, recovered_s, tries)
