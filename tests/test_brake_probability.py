@@ -95,6 +95,13 @@ def test_without_uncertainty_it_is_yes_or_no_at_the_way_that_is_lost() -> None:
     assert p_too_late(way - 1e-6, 3.0, *exact) == pytest.approx(1.0)
 
 
+def test_however_uncertain_our_deceleration_a_tenth_of_it_is_reckoned_with() -> None:
+    exact, own = (0.0, 0.0, 0.0), (3.0, 2.943, 2.943 / 2)
+    way = lost_way(3.0, 0.0, 0.0, 2.943 / 10, 0.25)
+    assert p_too_late(way + 1e-6, 3.0, exact, 0.0, own, 0.25) == 0.0
+    assert 0 < p_too_late(way - 1e-6, 3.0, exact, 0.0, own, 0.25) < 0.02
+
+
 @pytest.mark.parametrize("closing_mps", [-1.0, 0.0])
 def test_what_does_not_close_in_is_never_too_late_however_little_is_known_of_the_gap(closing_mps: float) -> None:
     assert p_too_late(0.01, closing_mps, (0.1, 0.0, 0.0), 0.0, (3.0, 2.943, 0.3), 0.25) == 0.0
