@@ -105,7 +105,13 @@ def test_a_side_is_hidden_where_most_of_it_is(columns, sides, rows, most):
 def test_what_hides_the_lower_part_hides_no_side():
     source = wall()
     source.range_m[20:25, 15:45] = 2.0
-    assert segment(block(slice(10, 20), slice(20, 40)), source, Mounting(z_m=3.0)).cut == Cut.OCCLUDED
+    assert segment(block(slice(10, 20), slice(20, 40)), source, Mounting(z_m=3.0)).cut == (Cut.OCCLUDED | Cut.HIDDEN_UP)
+
+
+def test_nor_does_what_hides_a_side_hide_anything_above_or_below():
+    source = wall()
+    source.range_m[5:25, 40:50] = 2.0
+    assert not segment(block(slice(10, 20), slice(20, 40)), source).cut & Cut.HIDDEN_UP
 
 
 @pytest.mark.parametrize(

@@ -449,7 +449,10 @@ def test_the_global_association_is_the_best_of_all(cost: np.ndarray) -> None:
 def test_where_nothing_competes_every_association_takes_every_candidate(name: str, cost: np.ndarray) -> None:
     took, candidates = np.empty(len(cost), int), cost < NO_PAIR
     alone = bool((candidates.sum(axis=0) <= 1).all() and (candidates.sum(axis=1) <= 1).all())
-    assert take_only_candidates(cost, took) == alone
+    unseen = np.arange(len(cost)) % 2
+    missed = bool(candidates[unseen > 0].any())
+    assert take_only_candidates(cost, unseen, True, took) == (alone and not missed)
+    assert take_only_candidates(cost, unseen, False, took) == alone
     if alone:
         np.testing.assert_array_equal(took, ASSOCIATION[name](cost, np.arange(len(cost))))
 

@@ -2,12 +2,14 @@
 
 import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from scipy.stats import truncnorm
 
 from rangecam.brake import DecisionSettings, decide
 from rangecam.collision import CorridorSettings
@@ -17,6 +19,7 @@ from rangecam.tracking.association import NO_PAIR, priorities
 from rangecam.tracking.joint import by_belief_propagation, marginals, of_cluster
 from rangecam.tracking.moving import turning
 from rangecam.tracking.shape import first_memory, pair_shapes, shapes
+from rangecam.tracking.sighting import within
 from rangecam.tracking.update import _seen_in
 from rangecam.types import CLASSES, MEMORY, Cut, Ego, Segments, Tracks, TrackStatus
 
@@ -461,12 +464,84 @@ def test_what_is_cut_or_hidden_at_its_outer_side_is_placed_by_its_inner_end(side
     assert steps[-1].memory[0, MEMORY.index("placed_width")] == pytest.approx(2.0, rel=0.05)
 
 
-@pytest.mark.parametrize("cut", [Cut.OCCLUDED, HIDDEN_LEFT | HIDDEN_RIGHT])
-def test_what_is_hidden_nobody_knows_where_or_on_both_sides_is_placed_where_it_is_seen(cut: Cut) -> None:
-    last = passing(1.0, int(cut))[-1]
+def test_what_is_hidden_nobody_knows_where_is_placed_where_it_is_seen() -> None:
+    last = passing(1.0, int(Cut.OCCLUDED))[-1]
     assert last.memory is not None
     assert last.memory[0, MEMORY.index("placed_width")] == pytest.approx(0.6, abs=0.2)
     assert last.state[0, 3] < 2.9
+
+
+BETWEEN = HIDDEN_LEFT | HIDDEN_RIGHT
+
+
+WALKING = MotionSettings(model="constant_velocity", velocity_drift_mps=0.3)
+
+
+@pytest.mark.parametrize("modes", [(), (WALKING, WALKING)])
+def test_who_walks_on_behind_a_gap_is_as_fast_as_before_though_the_gap_stands(modes: tuple[MotionSettings]) -> None:
+    """0.5 m wide, at 1 m/s across; from the 20th frame on only what a gap of 0.05 m shows is seen."""
+    settings = dataclasses.replace(PLAIN, motion=dataclasses.replace(WALKING, modes=modes))
+    frames = [seen([8.0, -1.15 + 0.05 * k, 0.9]) for k in range(20)]
+    frames += [seen([8.0, 0.0, 0.9], width=0.05, cut=int(BETWEEN)) for _ in range(20, 26)]
+    steps = follow(frames, settings)
+    for k, step in enumerate(steps[20:], start=20):
+        assert len(step.age) == 1
+        assert step.state[0, 3] == pytest.approx(-1.15 + 0.05 * k, abs=0.03)
+        assert step.state[0, 4] == pytest.approx(1.0, abs=0.2)
+    memory = steps[-1].memory
+    assert memory is not None
+    assert memory[0, MEMORY.index("placed_width")] == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.19, 0.3, 1.0])
+@pytest.mark.parametrize("sigma_m", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize("width_m", [0.1, 0.48, 0.5])
+def test_a_sight_between_two_things_cuts_off_where_its_middle_cannot_be(
+    off_m: float, sigma_m: float, width_m: float
+) -> None:
+    x, P, memory = np.zeros(9), np.zeros((9, 9)), np.zeros(len(MEMORY))
+    x[3], P[3, 3], memory[0] = 0.0, sigma_m**2, np.log(0.5)
+    y, variance = within(x, P, 0.0, np.array([1e-12, 2.0, width_m]), memory, off_m)
+    gain = sigma_m**2 / (sigma_m**2 + variance)
+    half = (0.5 - width_m) / 2
+    low, high = (off_m - half) / sigma_m, (off_m + half) / sigma_m
+    if low > 5:
+        assert gain * y == pytest.approx(off_m - half, abs=1e-6)
+    else:
+        mean, left = truncnorm.stats(low, high, scale=sigma_m) if half > 0 else (off_m, 0.0)
+        assert gain * y == pytest.approx(mean, abs=0.01 * sigma_m)
+        assert sigma_m**2 * (1 - gain) == pytest.approx(left, abs=1e-3 * sigma_m**2)
+
+
+def test_a_sight_that_may_be_anywhere_in_a_track_says_nothing() -> None:
+    x, P, memory = np.zeros(9), np.eye(9) * 1e-4, np.zeros(len(MEMORY))
+    memory[0] = np.log(2.0)
+    y, variance = within(x, P, 0.0, np.array([1e-4, 2.0, 0.1]), memory, 0.3)
+    assert abs(y * 2e-4 / (2e-4 + variance)) < 1e-9
+    assert variance > 1e3 * P[3, 3]
+
+
+def test_the_height_of_who_is_hidden_at_a_side_is_learnt_and_of_whom_below_not() -> None:
+    for cut, learns in ((HIDDEN_LEFT, True), (BETWEEN, True), (Cut.OCCLUDED | Cut.HIDDEN_UP, False)):
+        start = follow([seen([8.0, 0.0, 0.9], height=1.7)] * 10)[-1]
+        lower = seen([8.0, 0.0, 0.9], height=1.6, cut=int(cut))
+        memory = update_tracks(start, lower, 0.5, PLAIN).memory
+        assert memory is not None
+        assert np.exp(memory[0, 1]) == pytest.approx(1.67 if learns else 1.7, abs=1e-3)
+
+
+@pytest.mark.parametrize("association", ["global", "joint_probabilistic"])
+@pytest.mark.parametrize(("height", "sigmas", "own"), [(1.7, 1.0, True), (1.4, 1.0, False), (1.7, 6.0, False)])
+def test_who_was_hidden_takes_only_what_is_likelier_his_than_a_new_ones(
+    association: Any, height: float, sigmas: float, own: bool
+) -> None:
+    settings = dataclasses.replace(PLAIN, association=association, gate_probability=1 - 1e-9)
+    hidden = follow([seen([8.0, 0.0, 0.9])] * 30 + [NOTHING] * 8, settings)[-1]
+    shown = seen([8.0 + sigmas * np.sqrt(hidden.covariance[0, 0, 0]), 0.0, 0.9], height=height)
+    for density, takes in ((0.05, own), (0.0, True)):
+        last = update_tracks(hidden, shown, 1.9, dataclasses.replace(settings, new_density_per_m3=density))
+        assert len(last.age) == (1 if takes else 2)
+        assert (last.misses[0] == 0) == takes
 
 
 def peeping(side: float, settings: TrackingSettings, cut: Cut, count: int = 8) -> Tracks:

@@ -145,7 +145,9 @@ class Cut(IntFlag):
     HIDDEN_LEFT = 32
     """... along most of its left side, ..."""
     HIDDEN_RIGHT = 64
-    """... or of its right one. Neither: a small part of a side, or above or below."""
+    """... or of its right one, ..."""
+    HIDDEN_UP = 128
+    """... or more than a few pixels above or below. None of these: a small part of a side."""
 
 
 @value

@@ -56,6 +56,8 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
                         occluded += _hidden(flat, z, ranges, why, pixel, -inward, far, bounds[k, 2], limits)
             if across and 2 * (occluded - hidden) > outline - seen:
                 beside |= _HIDDEN_RIGHT if from_end else _HIDDEN_LEFT
+            if not across and occluded - hidden > max(1.0, limits[3] * (outline - seen)):
+                beside |= _HIDDEN_UP
             if across:
                 ends[k, side] = aside_m / (outline - seen)
             if 2 * goes_on > outline - seen:
@@ -63,7 +65,8 @@ def cut_short(labels: Any, points: Any, planes: Any, box: Any, bounds: Any, limi
         cut[k] = bits | _OCCLUDED | beside if occluded > max(1.0, limits[3] * outline) else bits
 
 
-_OCCLUDED, _HIDDEN_LEFT, _HIDDEN_RIGHT = int(Cut.OCCLUDED), int(Cut.HIDDEN_LEFT), int(Cut.HIDDEN_RIGHT)
+_OCCLUDED, _HIDDEN_UP = int(Cut.OCCLUDED), int(Cut.HIDDEN_UP)
+_HIDDEN_LEFT, _HIDDEN_RIGHT = int(Cut.HIDDEN_LEFT), int(Cut.HIDDEN_RIGHT)
 _BORDER, _OUTSIDE, _FLOOR = int(Why.BORDER), int(Why.OUTSIDE_AREA), int(Why.FLOOR)
 _FAR = 3  # pixels beyond the outline that are looked at
 

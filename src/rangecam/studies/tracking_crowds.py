@@ -24,7 +24,7 @@ from rangecam.types import Cut, Tracks, TrackStatus
 _WALKING = MotionSettings(model="constant_velocity", velocity_drift_mps=0.3, vertical_share=0.2)
 _OURS = TrackingSettings(
     motion=_WALKING, gate_probability=1 - 1e-7, detection_probability=0.8, speed_sigma_mps=1.0, position_sigma_m=0.02,
-    shape_sigma=0.15, cut_width_m=0.5, max_misses=80,
+    shape_sigma=0.15, cut_width_m=0.5, max_misses=80, new_density_per_m3=0.05,
 )  # fmt: skip
 _NEAREST = TrackingSettings(
     motion=_WALKING, gate_probability=1 - 1e-7, speed_sigma_mps=1.5, association="greedy", use_shape=False,
@@ -42,7 +42,7 @@ WAYS = {
 the segments (noise chosen: and 0.2 m more; told: and more where something is cut short). Where the middle of somebody
 is of whom one side is hidden, only their width tells: those without shape do not know which side that is."""
 _SIDES = ~np.uint8(Cut.HIDDEN_LEFT | Cut.HIDDEN_RIGHT)
-_RUNS, _LIMIT_M = 10, 1.0
+_RUNS, _LIMIT_M = 20, 1.0
 _WHY = (
     "at least 5 is asked, surely, that is by one standard deviation of the counts; where twelve hide each other, some "
     "are taken for others who are hidden before anybody knows how fast they go, or turn round unseen"

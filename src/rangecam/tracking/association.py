@@ -1,5 +1,6 @@
 """Which segment is which track's: the best pairing, from the cost of each pair."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,6 +10,16 @@ from rangecam.types import MEMORY, Floats, Ints
 
 NO_PAIR = 1e6
 """Cost of a pairing outside the gate: far above any that is inside."""
+
+
+def likelier_than_new(cost: Floats, misses: Ints, density_per_m3: float) -> Floats:
+    """Return the costs (N, M) of the pairings without those of a missed track that are likelier a new object's.
+
+    cost: twice the negative logarithm of the likelihood, but for the constants of the normal densities, log 2 pi for
+    each dimension: three of the position, and those of the shape, which are the same for a new object (`shape`).
+    """
+    new = -2 * math.log(density_per_m3) - 3 * math.log(2 * math.pi)
+    return np.where((misses[:, None] > 0) & (cost > new), NO_PAIR, cost)
 
 
 def associate_globally(cost: Floats, priority: Floats) -> Ints:

@@ -6,7 +6,7 @@ import numpy as np
 
 from rangecam.compiled import kernel
 from rangecam.tracking.association import NO_PAIR
-from rangecam.tracking.sighting import aside, grows
+from rangecam.tracking.sighting import aside, grows, within
 from rangecam.types import MEMORY, Floats, Ints
 
 _SIDE = MEMORY.index("placed_side")
@@ -70,14 +70,27 @@ def aim(measured: Measured, i: int, j: int, z: Floats, wander: Floats) -> float:
 
 
 @kernel
-def take_only_candidates(cost: Floats, took: Ints) -> bool:
-    """Write the pairing if no track has two candidates and no segment two takers; return whether that is so."""
+def sight(measured: Measured, i: int, j: int, x: Floats, P: Floats, z: Floats, wander: Floats) -> float:
+    """Do what `aim` does for the update of a state; what is seen between two nearer things says only as much."""
+    less = aim(measured, i, j, z, wander)
+    if measured[4][j, 1] == 2:
+        z[1], variance = within(x, P, less, measured[4][j], measured[5][i], z[1])
+        wander[1] += variance - measured[1][j, 1, 1]
+    return less
+
+
+@kernel
+def take_only_candidates(cost: Floats, misses: Ints, doubts: bool, took: Ints) -> bool:
+    """Write the pairing if no track has two candidates and no segment two takers; return whether that is so.
+
+    doubts: nor is it so if a track that was missed has a candidate.
+    """
     taken = np.zeros(cost.shape[1], np.bool_)
     for i in range(cost.shape[0]):
         took[i] = -1
         for j in range(cost.shape[1]):
             if cost[i, j] < NO_PAIR:
-                if taken[j] or took[i] >= 0:
+                if taken[j] or took[i] >= 0 or (doubts and misses[i] > 0):
                     return False
                 taken[j], took[i] = True, j
     return True
@@ -104,7 +117,7 @@ def update(
             _blend(state[i], covariance[i], weights[i], measured, i)
             continue
         if j >= 0:
-            covariance[i, 3, 3] += aim(measured, i, j, z, wander)
+            covariance[i, 3, 3] += sight(measured, i, j, state[i], covariance[i], z, wander)
             squared, _ = correct(state[i], covariance[i], z, measured[1][j], measured[2], wander, W)
             state[i, 3] += grows(measured[4][j], measured[5][i], measured[7])
             if measured[3][j] > 0:
@@ -129,7 +142,7 @@ def _blend(x: Floats, P: Floats, weights: Floats, measured: Measured, i: int) ->
             share[m] = weights[j]
             share[0] = max(share[0] - weights[j], 0.0)
             copy(x, P, states[m], covariances[m])
-            covariances[m, 3, 3] += aim(measured, i, j, z, wander)
+            covariances[m, 3, 3] += sight(measured, i, j, x, P, z, wander)
             correct(states[m], covariances[m], z, measured[1][j], measured[2], wander, W)
             m += 1
     mixture(share, states, covariances, x, P)

@@ -7,7 +7,6 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.filter import (
     Measured,
-    aim,
     any_of,
     copy,
     correct,
@@ -15,6 +14,7 @@ from rangecam.tracking.filter import (
     inverse,
     largest,
     mixture,
+    sight,
     squared_distance,
 )
 from rangecam.tracking.moving import predict, predict_turning, turning_room
@@ -84,12 +84,12 @@ def update_modes(
         if weights is not None:
             several = any_of(weights[i])
             if several:
-                _blend_modes(mu[i], modes[i], spreads[i], weights[i], measured, i)
+                _blend_modes((mu[i], modes[i], spreads[i]), (x[i], P[i]), weights[i], measured, i)
         if took[i] >= 0 and not several:
             j = took[i]
             R, less, grown = (
                 measured[1][j],
-                aim(measured, i, j, z, wander),
+                sight(measured, i, j, x[i], P[i], z, wander),
                 grows(measured[4][j], measured[5][i], measured[7]),
             )
             P[i, 3, 3] += less
@@ -130,12 +130,15 @@ def _correct_modes(
 
 
 @kernel
-def _blend_modes(mu: Floats, modes: Floats, spreads: Floats, weights: Floats, measured: Measured, i: int) -> None:
+def _blend_modes(
+    predicted: tuple[Floats, Floats, Floats], mean: tuple[Floats, Floats], weights: Floats, measured: Measured, i: int
+) -> None:
     """Update the modes of track i by several segments, each with the probability that it is the track's own.
 
     Under each segment the modes are those of the usual update; of a mode, the mixture over the segments has the weights
     P(segment) P(mode | segment).
     """
+    (mu, modes, spreads), (x, P) = predicted, mean
     n, K, m, W, z, wander = weights.size, mu.size, 1, np.empty((3, 9)), np.empty(3), np.empty(3)
     rest = 1.0
     for j in range(n):
@@ -151,7 +154,7 @@ def _blend_modes(mu: Floats, modes: Floats, spreads: Floats, weights: Floats, me
             each[k] = mu[k]
             copy(modes[k], spreads[k], one[k], its[k])
         if j >= 0:
-            less = aim(measured, i, j, z, wander)
+            less = sight(measured, i, j, x, P, z, wander)
             for k in range(K):
                 its[k, 3, 3] += less
             _correct_modes(each, one, its, z, measured[1][j], measured[2], wander, W, likelihood)

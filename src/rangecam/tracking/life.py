@@ -43,7 +43,7 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     P[:, 6:] *= settings.motion.vertical_share**2
     P[:, ::3, ::3] = R
     restless = wander(memory, settings.outline_sigma**2)
-    restless[:, 1] *= end[:, 1] == 0  # as in `sighting.aside`
+    restless[:, 1] *= np.abs(end[:, 1]) != 1  # as in `sighting.aside`
     P[:, range(0, 9, 3), range(0, 9, 3)] += restless
     if settings.position_lasts_s > 0:
         P[:, range(0, 9, 3), range(0, 9, 3)] += settings.position_sigma_m**2
@@ -82,14 +82,14 @@ def _whole(
     seen: position, covariance, width and bits of `Cut`. Written, in `memory`: the widths and the side that is cut.
     """
     position, R, width, cut = seen
-    side = end[:, 1]
+    side = np.where(np.abs(end[:, 1]) == 1, end[:, 1], 0.0)
     missing = np.where(cut & ACROSS != 0, np.maximum(settings.cut_width_m - np.maximum(width, 0.0), 0.0), 0.0)
     memory[:, _SIDE] = side
     if not side.any() and not missing.any():
         return position, R
     placed = np.maximum(end[:, 2], settings.cut_width_m)
     memory[missing > 0, _WIDTH] = np.log((width + missing)[missing > 0])
-    memory[:, _PLACED] = np.where(side != 0, placed, memory[:, _PLACED])
+    memory[:, _PLACED] = np.where(end[:, 1] != 0, placed, memory[:, _PLACED])
     position, R = position.copy(), R.copy()
     position[:, 1] = np.where(side != 0, end[:, 0] + side * placed / 2, position[:, 1])
     R[:, 1, 1] += np.where(side == 0, settings.cut_sigma**2 * missing**2, 0.0)

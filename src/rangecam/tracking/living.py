@@ -10,7 +10,7 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.filter import largest
 from rangecam.tracking.rules import GONE
-from rangecam.tracking.sighting import ACROSS, LEFT, UP, one_sided, widened
+from rangecam.tracking.sighting import ACROSS, LEFT, UP, between, one_sided, widened
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
@@ -162,13 +162,15 @@ def _reshape(
                 memory[i, _PLACED] += widened(sides[j, 0] - sides[j, 1], memory[i, _PLACED], weight)
                 memory[i, _SIDE] = 1.0 if cut[j] & LEFT != 0 else -1.0
             else:
-                memory[i, _PLACED] += weight * (size[j, 1] - memory[i, _PLACED])
+                if not between(cut[j]):
+                    memory[i, _PLACED] += weight * (size[j, 1] - memory[i, _PLACED])
                 memory[i, _SIDE] = 0.0
             for a in range(3):
                 apart = shape[j, a] - memory[i, a]
-                if cut[j] == 0 or (a < 2 and apart > 0):
+                short = cut[j] & (ACROSS if a == 0 else UP if a == 1 else ACROSS | UP) != 0
+                if not short or (a < 2 and apart > 0):
                     memory[i, a] += weight * apart
-                if cut[j] == 0:
+                if not short:
                     memory[i, 3 + a] += weight * (apart * apart - memory[i, 3 + a])
 
 

@@ -33,6 +33,9 @@ class TrackingSettings:
     """How often an object that is there is seen. For joint_probabilistic."""
     clutter_density_per_m3: Positive = 0.01
     """Segments that belong to no object, in a frame. For joint_probabilistic."""
+    new_density_per_m3: NonNegative = 0.0
+    """How many objects appear, in a frame: a track that was missed takes a segment only where that is likelier its own
+    than that of a new object. 0: wherever it is in the gate."""
     speed_sigma_mps: Positive = 5.0
     """How fast new objects may be: their velocity starts as 0 with this standard deviation, along each axis."""
     acceleration_sigma_mps2: Positive = 3.0

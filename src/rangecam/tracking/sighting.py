@@ -7,12 +7,15 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.types import MEMORY, Cut, Floats, Ints
 
-ACROSS, UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.OCCLUDED)
+ACROSS, UP = int(Cut.LEFT | Cut.RIGHT | Cut.OCCLUDED), int(Cut.TOP | Cut.BOTTOM | Cut.HIDDEN_UP)
 """What cuts an object short beside it, and above or below it."""
 LEFT, RIGHT = int(Cut.LEFT | Cut.HIDDEN_LEFT), int(Cut.RIGHT | Cut.HIDDEN_RIGHT)
 """What cuts it short at one side."""
 BESIDE = int(Cut.LEFT | Cut.RIGHT)
 """What leaves the image at a side, or comes into it."""
+BETWEEN = int(Cut.HIDDEN_LEFT | Cut.HIDDEN_RIGHT)
+"""What is seen between two nearer things."""
+_BOTH = 2.0
 _SPREAD, _PLACED, _SIDE = (MEMORY.index(name) for name in ("log_width_variance", "placed_width", "placed_side"))
 
 
@@ -54,10 +57,11 @@ def unseen(
 def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Floats, R: Floats) -> Floats:
     """Return for each segment that is cut at one side where its other end is, the side that is cut, and the width seen.
 
-    (M, 3): y, side (1 left, -1 right, 0: none, or both), width; seen: size, pixels, cut, `Segments.ends_m`. Such a
-    segment says of its track where that end is, as surely as the end is known, which is written into R; how wide the
-    track is beyond it, nothing says, and its position is that of the middle of the width that it has had so far
-    (`placed_width`). So what comes into sight moves as its end does, not as its middle seems to.
+    (M, 3): y, side (1 left, -1 right, 0: none), width; seen: size, pixels, cut, `Segments.ends_m`. Such a segment says
+    of its track where that end is, as surely as the end is known, which is written into R; how wide the track is beyond
+    it, nothing says, and its position is that of the middle of the width that it has had so far (`placed_width`). So
+    what comes into sight moves as its end does, not as its middle seems to. What is hidden on both sides has side 2,
+    and in place of y the variance of the middle of what is seen: see `within`.
     """
     size, pixels, cut, sides = seen
     end = np.zeros((cut.size, 3))
@@ -69,13 +73,16 @@ def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Flo
             # an end errs twice as much as the middle of it and one that is sure
             R[j, 1, 1] += 3 * covariance[j, 1, 1] - (rules[16] * size[j, 1] ** 2 if cut[j] & ACROSS != 0 else 0.0)
             R[j, 1, 1] += rules[20]
+        elif between(cut[j]) and pixels[j] > 0:
+            end[j, 0], end[j, 1] = covariance[j, 1, 1] + rules[16] * size[j, 1] ** 2, _BOTH
+            end[j, 2] = size[j, 1]
     return end
 
 
 @kernel
 def grows(end: Floats, memory: Floats, weight: float) -> float:
     """Return by how much the middle of a track moves because it is seen to be wider than it was placed by."""
-    return end[1] * widened(end[2], memory[_PLACED], weight) / 2 if end[1] != 0 else 0.0
+    return end[1] * widened(end[2], memory[_PLACED], weight) / 2 if abs(end[1]) == 1 else 0.0
 
 
 @kernel
@@ -94,12 +101,53 @@ def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[
     says nothing of its speed.
     """
     side, before, placed, y, wanders, less = end[1], memory[_SIDE], memory[_PLACED], math.nan, restless, 0.0
+    if side == _BOTH:
+        side = 0.0
     if side != before:
         less = (side - before) ** 2 * placed**2 * memory[_SPREAD] / 4
     if side != 0:
         y = end[0] + side * placed / 2
         wanders = grows(end, memory, weight) ** 2
     return y, wanders, less
+
+
+@kernel
+def within(x: Floats, P: Floats, less: float, end: Floats, memory: Floats, seen: float) -> tuple[float, float]:
+    """Return what a sight between two nearer things says of the middle of a track: y and its variance.
+
+    x, P: of the track, whose y is by `less` less known; seen: y of the middle of what is seen. Of a width W it shows w,
+    so that the middle is within (W - w) / 2 of what is seen, and anywhere in there. That is no error that each frame
+    has anew: while something moves on behind a gap, what is seen of it does not. So the track is told no more than
+    that: the Gaussian cut off outside of it has a mean and a variance; returned is the measurement that would lead to
+    them. A track that is well inside learns nothing.
+    """
+    whole = math.exp(memory[0])
+    half = max((whole - end[2]) / 2, 0.0)
+    sure = end[0] + whole**2 / 4 * memory[_SPREAD]
+    prior = P[3, 3] + less + sure
+    sigma = math.sqrt(prior)
+    low, high = (seen - half - x[3]) / sigma, (seen + half - x[3]) / sigma
+    if low > _OUTSIDE or high < -_OUTSIDE:
+        return seen - half if low > 0 else seen + half, sure
+    if high - low < _NARROW:
+        mean, left = (low + high) / 2, (high - low) ** 2 / 12
+    else:
+        at_low, at_high = math.exp(-low * low / 2) / _ROOT, math.exp(-high * high / 2) / _ROOT
+        share = (math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))) / 2
+        mean = (at_low - at_high) / share
+        left = 1 + (low * at_low - high * at_high) / share - mean * mean
+    lost = max(1 - left, 1e-9)
+    return x[3] + sigma * mean / lost, sure + prior * (1 - lost) / lost
+
+
+_OUTSIDE, _NARROW = 5.0, 0.1  # standard deviations
+_ROOT = math.sqrt(2 * math.pi)
+
+
+@kernel
+def between(cut: int) -> bool:
+    """Return whether both sides of a segment are hidden by something nearer."""
+    return bool(cut & BETWEEN == BETWEEN)
 
 
 @kernel

@@ -88,7 +88,7 @@ def follow(
     measured = position, R, rules[3], pixels, end, memory, wander(memory, rules[18]), rules[4]
     if stage != PAIRED:
         gate_pairs(x, P, measured, rules[0], rules[13], cost)
-        if not take_only_candidates(cost, took) or stage == PAIRING:
+        if not take_only_candidates(cost, misses, rules[21] > 0, took) or stage == PAIRING:
             return False, 0, 0, 0, 0
     update(x, P, took, weights, measured, means[2])
     before = status, age, hits, misses, extent, near_offset, n_pixels, class_probability, memory
@@ -166,7 +166,7 @@ def follow_modes(
     measured = position, R, rules[3], pixels, end, memory, wander(memory, rules[18]), rules[4]
     if stage != PAIRED:
         gate_pairs(x, P, measured, rules[0], rules[13], cost)
-        if not take_only_candidates(cost, took) or stage == PAIRING:
+        if not take_only_candidates(cost, misses, rules[21] > 0, took) or stage == PAIRING:
             return False, 0, 0, 0, 0
     update_modes((mu, modes, spreads), (x, P), took, weights, measured, means[2])
     before = status, age, hits, misses, extent, near_offset, n_pixels, class_probability, memory

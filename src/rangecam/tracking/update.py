@@ -11,7 +11,7 @@ import numpy as np
 
 from rangecam.errors import DataError
 from rangecam.motion import MOTION, TURNS, MotionSettings, mode_switching
-from rangecam.tracking.association import ASSOCIATION, priorities
+from rangecam.tracking.association import ASSOCIATION, likelier_than_new, priorities
 from rangecam.tracking.grouping import concerned
 from rangecam.tracking.groups import Grouped, regroup
 from rangecam.tracking.joint import marginals
@@ -193,6 +193,8 @@ def _resolved(
     else:
         if settings.use_shape:
             cost = pair_shapes(cost, memory, shape, seen[10])
+        if settings.new_density_per_m3 > 0:
+            cost = likelier_than_new(cost, tracks.misses, settings.new_density_per_m3)
         wanted = settings.association == "by_age"
         priority = priorities(tracks.age, tracks.n_pixels, memory) if wanted else tracks.n_pixels
         took = ASSOCIATION[settings.association](cost, priority)
