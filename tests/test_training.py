@@ -1,13 +1,16 @@
 """Training: drives of known things, examples of them, trees taken out of the library that grew them, scores."""
 
+import json
 from functools import cache
 
 import numpy as np
 import pytest
 
 from rangecam.classify.features import FEATURES
-from rangecam.classify.learned import probabilities
+from rangecam.classify.learned import load_model, probabilities
+from rangecam.cli import main
 from rangecam.errors import UsageError
+from rangecam.training import lots
 from rangecam.training.drives import KINDS, DriveSettings, random_drive
 from rangecam.training.examples import Examples, Lot, joined, simulated
 from rangecam.training.fit import _grow, _taken_out, fit
@@ -137,3 +140,25 @@ def test_what_is_not_resolved_must_be_surer_to_be_no_unknown():
         most = said[:, 1:].max(axis=1) / said[:, 1:].sum(axis=1)
         assert ((said.argmax(axis=1) == 0) == (most < 0.85)).all()
         assert 0.1 < (said.argmax(axis=1) == 0).mean() < 0.99
+
+
+def test_the_command_trains_by_its_options_writes_the_model_and_says_how_good_it_is(tmp_path, monkeypatch, capsys):
+    """Drives are made up here: those of the shipped model take tens of minutes."""
+    asked = []
+
+    def simulated_lots(given, over):
+        asked.append(given)
+        return made_up(600, np.random.default_rng(len(asked)))[0]
+
+    monkeypatch.setattr(lots, "simulate", simulated_lots)
+    path = tmp_path / "model.npz"
+    told_by = ["--drives", "30", "--held-out", "5", "--rounds", "4", "--seed", "3", "--jobs", "1"]
+    main(["train", str(path), *told_by])
+    assert asked[0] == learning_lots(30, 3)
+    assert asked[1:] == [held_out_lots(name, 5, 3) for name in HELD_OUT]
+    assert len(load_model(str(path)).roots) == 3 * 4
+    assert "CW, rain" in capsys.readouterr().out
+    main(["train", *told_by, "--json"])
+    scored = json.loads(capsys.readouterr().out)
+    assert scored["model"] is None
+    assert set(HELD_OUT) <= set(scored["scores"])

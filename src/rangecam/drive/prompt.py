@@ -2,9 +2,13 @@
 
 import ctypes
 import gc
+import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable
 from contextlib import suppress
+from multiprocessing.connection import wait
 
 _TASKS = "/proc/self/task"
 _NICE = -15
@@ -48,6 +52,21 @@ def keep_memory() -> None:
         for option in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
             library.mallopt(option, _LARGEST)
         library.mlockall(_CURRENT | _FUTURE)
+
+
+def end_with_parent() -> None:
+    """Let this process be killed when the one that started it ends, however that comes.
+
+    Whoever runs before all others would go on for ever if the one who ends it was killed. A thread waits for that.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_after(sentinel: int) -> None:
+    wait([sentinel])
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def relaxed() -> None:

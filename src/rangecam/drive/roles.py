@@ -28,7 +28,7 @@ from rangecam.drive.bound import starting
 from rangecam.drive.eye import sequence_s
 from rangecam.drive.journey import hand_of, pose_of
 from rangecam.drive.mind import Mind, restarted
-from rangecam.drive.prompt import keep_memory, prompt, sooner
+from rangecam.drive.prompt import end_with_parent, keep_memory, prompt, sooner
 from rangecam.drive.settings import DriveSettings
 from rangecam.errors import DataError
 from rangecam.io.udp.address import LOOPBACK, Address
@@ -264,6 +264,7 @@ def car(job: Job) -> None:
 
 def _settle() -> None:
     """Start sooner than others, keep the memory, and leave Ctrl-C to who started this process, and will end it."""
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sooner()
     keep_memory()
