@@ -1,11 +1,11 @@
 """What could have been done: the drive without brakes, and the drive braked as soon as what can be seen demands it.
 
-A collision counts as avoidable if an ideal system avoids it. It sees what the camera, with its field of view, light and
-noise, shows of the target: enough right pixels, also beside the area of interest. Of what it sees it knows at once where
-it is and how it moves, which of what crosses no real one does, but not how it will move. It obeys the brake rule, told
-the truth, and so it brakes on the first image
+A collision counts as avoidable if an ideal system avoids it. It sees what the camera, with its field of view, light
+and noise, shows of the target: enough right pixels, also beside the area of interest. Of what it sees it knows at once
+where it is and how it moves, which of what crosses no real one does, but not how it will move. It obeys the brake rule,
+told the truth, and so it brakes on the first image
 
-- that shows enough of the target, as the images did before with which the tracker confirms a track: nobody may brake
+- that shows enough of the target, seen before in as many images as the tracker confirms a track with: nobody may brake
   for what is beside the way and out of sight;
 - in which the target, if it goes straight on as it moves now, will touch us: who waits beside the way may as well stay;
 - and in which the rule demands braking: who comes towards the way may as well stop, as long as there is time for that.
@@ -43,7 +43,7 @@ _STEP_S = 0.01
 _LOOKS_HZ = 10.0
 _GROSS_M = 0.3
 _TOUCHES_M = 0.01
-_LONGEST_S = 12.0  # of braking
+_LONGEST_S = 12.0  # of braking, and until a contact that counts
 
 
 class Roll(NamedTuple):
@@ -143,30 +143,31 @@ def _is_due(scenario: Scenario, config: Config, settings: DriveSettings, free: R
     """
     time_s, thing = _time_s(config, number), scenario.objects[free.hit - 1]
     position, velocity = place_and_velocity(thing.path, time_s)
-    start = tuple(p - v * time_s for p, v in zip(position, velocity, strict=True))
-    straight_on = changed(thing, path=Path(start_m=start, velocity_mps=velocity))
+    (x, y, z), (vx, vy, vz) = position, velocity
+    start_m = x - vx * time_s, y - vy * time_s, z - vz * time_s
+    straight_on = changed(thing, path=Path(start_m=start_m, velocity_mps=velocity))
     alone = dataclasses.replace(scenario, objects=(straight_on,))
-    comes_s = _comes_s(alone, settings, free.own, time_s, config.decision.corridor.horizon_s)
+    comes_s = _comes_s(alone, settings, free.own, time_s)
     pose = free.own(time_s)
-    closing = pose.speed_mps - math.cos(pose.heading_rad) * velocity[0] - math.sin(pose.heading_rad) * velocity[1]
+    closing = pose.speed_mps - math.cos(pose.heading_rad) * vx - math.sin(pose.heading_rad) * vy
     threat = Threat(closing * comes_s, closing, math.inf)
     return comes_s < math.inf and RULES[config.decision.rule](threat, pose.speed_mps, True, config.decision)
 
 
-def _comes_s(scenario: Scenario, settings: DriveSettings, own: OwnMotion, time_s: float, within_s: float) -> float:
-    """Return after how long the vehicle on its way touches the first thing, to 1 cm or 5 ms; inf if not in that time.
+def _comes_s(scenario: Scenario, settings: DriveSettings, own: OwnMotion, time_s: float) -> float:
+    """Return after how long the vehicle on its way touches the first thing, to 1 cm or 5 ms; inf if not soon.
 
     No point of either outline is faster than these speeds, so that the gap is not crossed sooner.
     """
     vehicle, later_s = settings.vehicle, 0.0
     fastest = math.hypot(*place_and_velocity(scenario.objects[0].path, time_s)[1])
-    while later_s < within_s:
+    while later_s < _LONGEST_S:
         pose = own(time_s + later_s)
         gap_m = nearest(scenario, time_s + later_s, pose, vehicle).gap_m
         if gap_m < _TOUCHES_M:
             return later_s
         together = fastest + abs(pose.speed_mps) + abs(pose.yaw_rate_radps) * vehicle.length_m
-        later_s += max(gap_m / together, _STEP_S / 2) if together > 0 else within_s
+        later_s += max(gap_m / together, _STEP_S / 2) if together > 0 else _LONGEST_S
     return math.inf
 
 

@@ -22,7 +22,8 @@ RULES = (
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise;
 variance of the centroid of what is cut short, as a share of the squared size; frames in parts after which they are no
-longer one; variance of the centroid as a share of that of the size; how long an error lasts; variance of an end; share of the lateral Q."""
+longer one; variance of the centroid as a share of that of the size; how long an error lasts; variance of an end; share
+of the lateral Q."""
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints, Floats]
 """label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m, cut and ends_m of
