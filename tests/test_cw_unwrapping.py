@@ -165,6 +165,23 @@ def test_phases_that_contradict_each_other_are_rejected_as_wrapped():
     assert cw_multi_frequency(raw, replace(THREE, unwrap_residual_sigmas=100.0, unwrap_error=0.99)).valid.all()
 
 
+@pytest.mark.parametrize(("phase_error_rad", "kept"), [(None, 1.0), (0.03, 0.0)])
+def test_what_comes_nearer_at_20_mps_contradicts_itself_by_more_than_wiggling(phase_error_rad, kept):
+    """The frequencies are taken one after the other: the road camera allows for it."""
+    road, range_m = load_config("road_cw_20m").camera, np.linspace(2.0, 18.0, 40).reshape(5, 8)
+    if phase_error_rad is not None:
+        road = replace(road, unwrap_phase_error_rad=phase_error_rad)
+    camera = replace(FOUR, read_noise_lsb=0.1, unwrap_phase_error_rad=road.unwrap_phase_error_rad)
+    nearer_m = 20.0 * len(STEPS) * (road.illumination_time_s + road.readout_time_s)
+    planes = {}
+    for k in range(4):
+        raw = frame_of(camera, range_m - k * nearer_m)
+        planes |= {plane_name(step, k): raw.planes[plane_name(step, k)] for step in STEPS}
+    image = cw_multi_frequency(replace(raw, planes=planes), camera)
+    assert image.valid.mean() == kept
+    assert np.all(np.abs(image.range_m - range_m)[image.valid] < 3 * nearer_m)
+
+
 def test_a_stricter_error_rejects_more_and_lets_fewer_errors_pass():
     rng, noise_lsb = np.random.default_rng(6), 55.0
     range_m = rng.uniform(0.5, 7.0, (150, 150))

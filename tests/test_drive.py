@@ -30,7 +30,7 @@ from rangecam.drive.settings import DriveSettings, Fault
 from rangecam.errors import UsageError
 from rangecam.io import Recorder, open_source
 from rangecam.pipeline import process_frame, run
-from rangecam.scene.paths import EgoMotion, EgoPhase, Pose, WayPoint
+from rangecam.scene.paths import EgoMotion, EgoPhase, Phase, Pose, WayPoint
 from rangecam.scene.paths import Path as Way
 from rangecam.scene.scenario import Scenario
 from rangecam.scene.shapes import Box, Cylinder, Rod, SceneObject
@@ -395,6 +395,38 @@ def test_what_can_be_done_does_not_hang_on_how_far_aside_one_looks() -> None:
     crossing, narrow = scene(replace(box(), path=way), duration_s=3.0), load_config("scaled_car")
     narrow = replace(coarse(), clean=replace(coarse().clean, width_m=0.4))
     assert bound.bound_of(crossing, narrow, SETTINGS, 0) == bound.bound_of(crossing, coarse(), SETTINGS, 0)
+
+
+def test_who_waits_beside_the_way_cannot_be_braked_for_before_he_comes() -> None:
+    """A box 1 m aside that is seen all the time darts out when it is beside the image, and the same one that walks."""
+    waits = WayPoint(time_s=1.1, position_m=(2.6, 1.0, 0.0))
+    comes = WayPoint(time_s=1.3, position_m=(2.6, 0.2, 0.0), velocity_mps=(0.0, -4.0, 0.0))
+    darts = Way(waypoints=(waits, comes))
+    walks = Way(start_m=(2.6, 1.2, 0.0), velocity_mps=(0.0, -1.0, 0.0))
+    found, other = (
+        bound.bound_of(scene(replace(box(), path=path), duration_s=3.0), coarse(), SETTINGS, 0)
+        for path in (darts, walks)
+    )
+    assert found.threat
+    assert found.seen_s < 0.5
+    assert not found.avoidable
+    assert other.avoidable
+
+
+def test_what_the_brake_rule_never_demands_cannot_be_avoided() -> None:
+    timid = replace(coarse(), decision=replace(coarse().decision, margin=0.1))
+    found = bound.bound_of(scene(box(), duration_s=3.0), timid, SETTINGS, 0)
+    assert found.seen_s < 0.5
+    assert not found.avoidable
+
+
+def test_what_is_as_fast_as_we_are_is_braked_for_once_it_brakes() -> None:
+    """It goes ahead of us for half a second, seen all the time, and stops: nothing touches us before that."""
+    phases = (Phase(duration_s=0.5), Phase(duration_s=1.0, acceleration_mps2=(-2.0, 0.0, 0.0)))
+    ahead = replace(box(), path=Way(start_m=(1.6, 0.0, 0.0), velocity_mps=(2.0, 0.0, 0.0), phases=phases))
+    found = bound.bound_of(scene(ahead, duration_s=4.0), coarse(), SETTINGS, 0)
+    assert found.threat
+    assert found.avoidable
 
 
 def test_where_nothing_is_hit_there_is_no_threat() -> None:

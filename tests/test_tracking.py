@@ -132,6 +132,7 @@ MODES = MotionSettings(
         Mode(model="singer", drift_mps2=20.0, memory_s=0.4),
     ),
     mode_memory_s=0.8,
+    lateral_share=0.5,
     vertical_share=0.2,
 )
 
@@ -152,7 +153,7 @@ def interacting_reference(
         start = weight @ x
         spread = sum(w * (p + np.outer(e - start, e - start)) for w, p, e in zip(weight, P, x, strict=True))
         F, Q = MOTION[mode.model](dt, mode)
-        F, Q = np.kron(np.eye(3), F), np.kron(np.diag([1, 1, motion.vertical_share**2]), Q)
+        F, Q = np.kron(np.eye(3), F), np.kron(np.diag([1, motion.lateral_share**2, motion.vertical_share**2]), Q)
         m, C = F @ start, F @ spread @ F.T + Q
         S = H @ C @ H.T + R
         K = C @ H.T @ np.linalg.inv(S)
@@ -227,6 +228,21 @@ def test_the_vertical_share_scales_noise_and_first_guess_of_the_vertical_axis_al
     R = 0.01
     expected = 0.01 * (plain.covariance[0, 6:, 6:] - np.diag([R, 0, 0])) + np.diag([R, 0, 0])
     np.testing.assert_allclose(flat.covariance[0, 6:, 6:], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("model", ["constant_acceleration", "coordinated_turn"])
+def test_the_lateral_share_scales_noise_and_first_acceleration_across_our_way_alone(model: typing.Any) -> None:
+    plain, narrow = (
+        update_tracks(follow(still(1), settings)[-1], NOTHING, 0.1, settings).covariance[0]
+        for share in (1.0, 0.1)
+        for settings in [dataclasses.replace(PLAIN, motion=MotionSettings(model=model, lateral_share=share))]
+    )
+    changes = np.zeros((9, 9), bool)
+    changes[3:6, 3:6] = True
+    np.testing.assert_array_equal(narrow[~changes], plain[~changes])
+    R, v = 0.01, PLAIN.speed_sigma_mps**2  # these stay: what is left is a hundredth
+    stays = np.array([[R + 0.01 * v, 0.1 * v, 0.0], [0.1 * v, v, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(narrow[3:6, 3:6], 0.01 * plain[3:6, 3:6] + 0.99 * stays, rtol=1e-12)
 
 
 @pytest.mark.parametrize("variance", [1e-10, 1e-4, 1.0])

@@ -1,8 +1,8 @@
 """How objects move between two frames: the matrices F and Q of the motion models.
 
 All models share the nine-element state of `types.STATE`: position, velocity, acceleration of each axis (K-KAL-01). The
-axes move alike and on their own, so F and Q are the (3, 3) block of one axis, three times on the diagonal (eq 6.28);
-only the coordinated turn couples the horizontal ones, through its turn rate.
+axes move alike and on their own, so F and Q are the (3, 3) block of one axis, three times on the diagonal (eq 6.28), Q
+by the shares of `MotionSettings`; only the coordinated turn couples the horizontal ones, through its turn rate.
 """
 
 import math
@@ -48,6 +48,9 @@ class MotionSettings(Mode):
     """An interacting multiple model (K-FUT-09) of these, in place of the one model above; empty: that one."""
     mode_memory_s: Positive = 1.5
     """How long an object keeps to one of `modes` on the average before it changes to another."""
+    lateral_share: NonNegative = 1.0
+    """Motion across our way as a share of that along it: of its drift or step, and of the acceleration that a new
+    object may have. Small on a road, where what brakes hard does so along our way."""
     vertical_share: NonNegative = 1.0
     """Vertical motion as a share of horizontal motion: of its drift or step, and of what a new object may have of speed
     and acceleration. Small for whatever stands on the ground; 1 where the camera itself flies."""
@@ -160,7 +163,7 @@ def coordinated_turn(dt_s: float, settings: Mode) -> Floats:
     """Return (2, 3, 3): F and Q of each axis for an object that turns in the horizontal plane, at the turn rate 0.
 
     At a constant turn rate w and speed, da/dt = -w^2 v on both horizontal axes (Li and Jilkov 2003, part I, V.B), to
-    which the white jerk adds; so the axes stay alike. The state holds w = (v x a) / v^2: the tracker puts it
+    which the white jerk adds; so F of both is alike. The state holds w = (v x a) / v^2: the tracker puts it
     in for each track and linearises about it (`tracking.moving.turning`). At w = 0, and on the vertical axis,
     this is `constant_acceleration`; its Q differs from that of the turn by less than (w dt)^2 / 2 of itself.
     """

@@ -108,7 +108,8 @@ class CwCamera:
     unwrap_residual_sigmas: Positive = 4.0
     """A pixel is WRAPPED if its phases contradict each other by more, even with the likeliest number of wraps."""
     unwrap_phase_error_rad: NonNegative = 0.03
-    """What the phases of different frequencies may contradict each other by beside noise (wiggling, fixed pattern)."""
+    """What the phases of different frequencies may contradict each other by beside noise: wiggling, fixed pattern, and
+    the way that things come nearer from one frequency to the next, 4 pi f / c times it."""
     unwrap_to_m: Positive | None = None
     """Greatest range that unwrapping looks for; none: the unambiguous range of all frequencies together."""
     unwrap_spatially: bool = False

@@ -1,17 +1,25 @@
-"""What could have been done: the drive without brakes, and the drive braked as soon as the target could be seen.
+"""What could have been done: the drive without brakes, and the drive braked as soon as what can be seen demands it.
 
-A collision counts as avoidable if an ideal system avoids it: one that takes the first image in which the camera, with
-its field of view, light and noise, gives enough right pixels of the target, also beside the area of interest, needs the
-latency of the real one and as many images as the tracker confirms a track with, and then brakes fully, on the true
-road, with the true brakes. It knows at once how the target moves: of what crosses, no real one does.
+A collision counts as avoidable if an ideal system avoids it. It sees what the camera, with its field of view, light
+and noise, shows of the target: enough right pixels, also beside the area of interest. Of what it sees it knows at once
+where it is and how it moves, which of what crosses no real one does, but not how it will move. It obeys the brake rule,
+told the truth, and so it brakes on the first image
+
+- that shows enough of the target, seen before in as many images as the tracker confirms a track with: nobody may brake
+  for what is beside the way and out of sight;
+- in which the target, if it goes straight on as it moves now, will touch us: who waits beside the way may as well stay;
+- and in which the rule demands braking: who comes towards the way may as well stop, as long as there is time for that.
+
+From then on it needs the latency of the real one, and brakes fully, on the true road, with the true brakes.
 """
 
+import dataclasses
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from rangecam.brake.rule import Threat, is_object
+from rangecam.brake.rule import RULES, Threat, is_object
 from rangecam.cameras.simulated import SIMULATE, look
 from rangecam.clean import clean
 from rangecam.config import Config
@@ -21,7 +29,7 @@ from rangecam.drive.journey import between, hand_of, pose_of
 from rangecam.drive.settings import DriveSettings
 from rangecam.hdr import ranged
 from rangecam.pipeline import RANGING
-from rangecam.scene.paths import OwnMotion, Pose
+from rangecam.scene.paths import OwnMotion, Path, Pose, place_and_velocity
 from rangecam.scene.render import ray_bundle, truth
 from rangecam.scene.scenario import Scenario
 from rangecam.types import Floats
@@ -34,7 +42,8 @@ HARMLESS_MPS = 1 / 3.6
 _STEP_S = 0.01
 _LOOKS_HZ = 10.0
 _GROSS_M = 0.3
-_LONGEST_S = 12.0  # of braking
+_TOUCHES_M = 0.01
+_LONGEST_S = 12.0  # of braking, and until a contact that counts
 
 
 class Roll(NamedTuple):
@@ -96,18 +105,69 @@ def _hit(
 contact = _hit
 
 
-def first_sight(scenario: Scenario, config: Config, free: Roll, seed: int) -> float:
-    """Return when the exposure begins that first shows enough of what the drive without brakes hits; inf if none does.
+def first_sight(scenario: Scenario, config: Config, free: Roll, seed: int) -> int | None:
+    """Return the number of the first frame that shows enough of what the drive without brakes hits; None if none does.
 
     Enough: as many pixels that the chain keeps, with a range that is right, as the brake rule asks for.
     """
-    rate_hz = config.camera.frame_rate_hz
-    frames = math.ceil(free.hit_s * rate_hz)
-    stride = max(round(rate_hz / _LOOKS_HZ), 1)
+    frames, stride = _frames(config, free), max(round(config.camera.frame_rate_hz / _LOOKS_HZ), 1)
     for k in range(stride - 1, frames + stride, stride):
         if _shows(scenario, config, free, k, seed):
-            first = next((n for n in range(max(k - stride + 1, 0), k) if _shows(scenario, config, free, n, seed)), k)
-            return first / rate_hz - sequence_s(config.camera) / 2
+            return next((n for n in range(max(k - stride + 1, 0), k) if _shows(scenario, config, free, n, seed)), k)
+    return None
+
+
+def first_demand(
+    scenario: Scenario, config: Config, settings: DriveSettings, free: Roll, looks: tuple[int, int]
+) -> int | None:
+    """Return the number of the first frame that lets the ideal system brake; None if none does.
+
+    looks: number of the first frame that shows enough, seed.
+    """
+    sure, seed = looks[0] + config.tracking.confirm_hits - 1, looks[1]
+    for k in range(sure, _frames(config, free)):
+        if _is_due(scenario, config, settings, free, k) and _shows(scenario, config, free, k, seed):
+            return k
+    return None
+
+
+def _frames(config: Config, free: Roll) -> int:
+    """Return how many frames there are until the contact."""
+    return math.ceil(free.hit_s * config.camera.frame_rate_hz)
+
+
+def _is_due(scenario: Scenario, config: Config, settings: DriveSettings, free: Roll, number: int) -> bool:
+    """Return whether the brake rule demands braking for what is hit, if it goes on as it does in frame `number`.
+
+    Gap and closing speed are true; where it would come to us from a side, the gap is the way until then.
+    """
+    time_s, thing = _time_s(config, number), scenario.objects[free.hit - 1]
+    position, velocity = place_and_velocity(thing.path, time_s)
+    (x, y, z), (vx, vy, vz) = position, velocity
+    start_m = x - vx * time_s, y - vy * time_s, z - vz * time_s
+    straight_on = changed(thing, path=Path(start_m=start_m, velocity_mps=velocity))
+    alone = dataclasses.replace(scenario, objects=(straight_on,))
+    comes_s = _comes_s(alone, settings, free.own, time_s)
+    pose = free.own(time_s)
+    closing = pose.speed_mps - math.cos(pose.heading_rad) * vx - math.sin(pose.heading_rad) * vy
+    threat = Threat(closing * comes_s, closing, math.inf)
+    return comes_s < math.inf and RULES[config.decision.rule](threat, pose.speed_mps, True, config.decision)
+
+
+def _comes_s(scenario: Scenario, settings: DriveSettings, own: OwnMotion, time_s: float) -> float:
+    """Return after how long the vehicle on its way touches the first thing, to 1 cm or 5 ms; inf if not soon.
+
+    No point of either outline is faster than these speeds, so that the gap is not crossed sooner.
+    """
+    vehicle, later_s = settings.vehicle, 0.0
+    fastest = math.hypot(*place_and_velocity(scenario.objects[0].path, time_s)[1])
+    while later_s < _LONGEST_S:
+        pose = own(time_s + later_s)
+        gap_m = nearest(scenario, time_s + later_s, pose, vehicle).gap_m
+        if gap_m < _TOUCHES_M:
+            return later_s
+        together = fastest + abs(pose.speed_mps) + abs(pose.yaw_rate_radps) * vehicle.length_m
+        later_s += max(gap_m / together, _STEP_S / 2) if together > 0 else _LONGEST_S
     return math.inf
 
 
@@ -131,6 +191,10 @@ def _time_s(config: Config, number: int) -> float:
     return number / config.camera.frame_rate_hz
 
 
+def _exposed_s(config: Config, number: int) -> float:
+    return _time_s(config, number) - sequence_s(config.camera) / 2
+
+
 def _enough(ranges_m: Floats, config: Config) -> bool:
     if not ranges_m.size:
         return False
@@ -146,6 +210,7 @@ class Bound(NamedTuple):
     unbraked_mps: float
     """How fast."""
     seen_s: float
+    """When the exposure begins that first shows enough of it; inf if none does."""
     braked_mps: float
     """How fast the ideal system still hits something."""
     avoidable: bool
@@ -156,9 +221,13 @@ def bound_of(scenario: Scenario, config: Config, settings: DriveSettings, seed: 
     free = roll(scenario, settings)
     if not free.hit or free.impact_mps < HARMLESS_MPS:
         return Bound(False, free.impact_mps, math.inf, 0.0, False)
-    seen_s = first_sight(scenario, config, free, seed)
-    frames = settings.result_after_frames + config.tracking.confirm_hits - 1
-    braked_s = seen_s + frames / config.camera.frame_rate_hz + 2 * settings.step_s
+    first = first_sight(scenario, config, free, seed)
+    if first is None:
+        return Bound(True, free.impact_mps, math.inf, free.impact_mps, False)
+    seen_s = _exposed_s(config, first)
+    demand = first_demand(scenario, config, settings, free, (first, seed))
+    takes_s = settings.result_after_frames / config.camera.frame_rate_hz + 2 * settings.step_s
+    braked_s = math.inf if demand is None else _exposed_s(config, demand) + takes_s
     if braked_s >= free.hit_s:
         return Bound(True, free.impact_mps, seen_s, free.impact_mps, False)
     braked = roll(scenario, settings, braked_s)

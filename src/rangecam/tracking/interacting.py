@@ -17,7 +17,7 @@ from rangecam.tracking.filter import (
     sight,
     squared_distance,
 )
-from rangecam.tracking.moving import predict, predict_turning, turning_room
+from rangecam.tracking.moving import Shares, predict, predict_turning, turning_room
 from rangecam.tracking.sighting import grows
 from rangecam.types import MEMORY, Floats, Ints
 
@@ -30,15 +30,15 @@ _LEAST_PROBABLE = 1e-9
 def predict_modes(
     old: tuple[Floats, Floats, Floats],
     motion: tuple[Floats, Floats, Floats],
-    noise: tuple[float, Floats],
+    noise: tuple[Shares, Floats],
     own: Floats | None,
     new: tuple[Floats, Floats, Floats],
 ) -> None:
     """Write the predicted probability and state of each mode, which starts from the mean over where it may come from.
 
-    noise: the vertical share, and the memory, which holds the factor of each track's Q.
+    noise: shares of Q, and the memory, which holds the factor of each track's Q.
     """
-    (vertical, memory), (models, switching, turns), (mu, modes, spreads) = noise, motion, new
+    (shares, memory), (models, switching, turns), (mu, modes, spreads) = noise, motion, new
     n, K = mu.shape
     share, before, spread = np.empty(K), np.empty(9), np.empty((9, 9))
     for i in range(n):
@@ -56,11 +56,11 @@ def predict_modes(
                 if turns[k] > 0:
                     room = turning_room()
                     to, P = modes[i, k], spreads[i, k]
-                    predict_turning(before, spread, models[k], vertical, scale, own, to, P, room)
+                    predict_turning(before, spread, models[k], shares, scale, own, to, P, room)
                 else:
-                    predict(before, spread, models[k], vertical, scale, modes[i, k], spreads[i, k])
+                    predict(before, spread, models[k], shares, scale, modes[i, k], spreads[i, k])
             else:
-                predict(before, spread, models[k], vertical, scale, modes[i, k], spreads[i, k])
+                predict(before, spread, models[k], shares, scale, modes[i, k], spreads[i, k])
 
 
 @kernel

@@ -40,6 +40,7 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
     state, P, unknown = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, len(CLASSES)))
     state[:, ::3] = position  # as `POSITION`, but a slice is quicker than a list
     P[:, range(9), range(9)] = (0.0, settings.speed_sigma_mps**2, settings.acceleration_sigma_mps2**2) * 3
+    P[:, 5] *= settings.motion.lateral_share**2
     P[:, 6:] *= settings.motion.vertical_share**2
     P[:, ::3, ::3] = R
     restless = wander(memory, settings.outline_sigma**2)

@@ -9,6 +9,8 @@ from rangecam.types import Floats
 
 Turning = tuple[Floats, Floats, Floats, Floats, Floats]
 """F, dF, J, a product and a slope, to compute in."""
+Shares = tuple[float, float]
+"""Of Q along our way, which the lateral and the vertical axis have."""
 
 
 @kernel
@@ -19,17 +21,17 @@ def drift(T: float, rules: Floats) -> float:
 
 @kernel
 def predict(
-    state: Floats, covariance: Floats, model: Floats, vertical: float, scale: float, x: Floats, P: Floats
+    state: Floats, covariance: Floats, model: Floats, shares: Shares, scale: float, x: Floats, P: Floats
 ) -> None:
     """Write F x and F P F' + Q (König 2008, fig 6.8) into x and P, block by block; all of F is upper triangular.
 
-    vertical: share of Q that the vertical axis has; scale: factor of the track's Q.
+    shares: see `Shares`; scale: factor of the track's Q.
     """
     F, Q = model[0], model[1]
     f = F[0, 1], F[0, 2], F[1, 2], F[2, 2]
     for a in (0, 3, 6):
         x[a], x[a + 1], x[a + 2] = _moved(f, state[a], state[a + 1], state[a + 2])
-        share = scale * (vertical if a == 6 else 1.0)
+        share = scale * (1.0 if a == 0 else shares[0] if a == 3 else shares[1])
         for b in range(a, 9, 3):  # numbers in registers: through arrays it would take longer
             p00, p10, p20 = _moved(f, covariance[a, b], covariance[a + 1, b], covariance[a + 2, b])
             p01, p11, p21 = _moved(f, covariance[a, b + 1], covariance[a + 1, b + 1], covariance[a + 2, b + 1])
@@ -60,7 +62,7 @@ def predict_turning(
     state: Floats,
     covariance: Floats,
     model: Floats,
-    vertical: float,
+    shares: Shares,
     scale: float,
     own: Floats,
     x: Floats,
@@ -114,7 +116,7 @@ def predict_turning(
             for c in range(9):
                 total += W[a, c] * J[b, c]
             if a // 3 == b // 3:
-                total += scale * (vertical if a >= 6 else 1.0) * model[1, a % 3, b % 3]
+                total += scale * (1.0 if a < 3 else shares[0] if a < 6 else shares[1]) * model[1, a % 3, b % 3]
             P[a, b], P[b, a] = total, total
 
 

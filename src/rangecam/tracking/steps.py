@@ -72,13 +72,14 @@ def follow(
     R = np.empty_like(position_covariance)
     complete(position_covariance, size, cut, rules, R)
     if stage != PAIRED:
+        shares = rules[21], rules[5]
         if own is not None:
             room = turning_room()
             for i in range(len(x)):
-                predict_turning(state[i], covariance[i], model, rules[5], memory[i, _NOISE], own, x[i], P[i], room)
+                predict_turning(state[i], covariance[i], model, shares, memory[i, _NOISE], own, x[i], P[i], room)
         else:
             for i in range(len(x)):
-                predict(state[i], covariance[i], model, rules[5], memory[i, _NOISE], x[i], P[i])
+                predict(state[i], covariance[i], model, shares, memory[i, _NOISE], x[i], P[i])
         lasting = drift(model[0, 0, 1], rules)
         for i in range(len(x) if lasting > 0 else 0):
             for a in (0, 3, 6):
@@ -88,7 +89,7 @@ def follow(
     measured = position, R, rules[3], pixels, end, memory, wander(memory, rules[18]), rules[4]
     if stage != PAIRED:
         gate_pairs(x, P, measured, rules[0], rules[13], cost)
-        if not take_only_candidates(cost, misses, rules[21] > 0, took) or stage == PAIRING:
+        if not take_only_candidates(cost, misses, rules[22] > 0, took) or stage == PAIRING:
             return False, 0, 0, 0, 0
     update(x, P, took, weights, measured, means[2])
     before = status, age, hits, misses, extent, near_offset, n_pixels, class_probability, memory
@@ -154,7 +155,7 @@ def follow_modes(
     complete(position_covariance, size, cut, rules, R)
     if stage != PAIRED:
         old, new = (mode_probability, mode_state, mode_covariance), (mu, modes, spreads)
-        predict_modes(old, (models, switching, turns), (rules[5], memory), own, new)
+        predict_modes(old, (models, switching, turns), ((rules[21], rules[5]), memory), own, new)
         lasting = drift(models[0, 0, 0, 1], rules)
         for i in range(len(x)):
             for k in range(mu.shape[1] if lasting > 0 else 0):
@@ -166,7 +167,7 @@ def follow_modes(
     measured = position, R, rules[3], pixels, end, memory, wander(memory, rules[18]), rules[4]
     if stage != PAIRED:
         gate_pairs(x, P, measured, rules[0], rules[13], cost)
-        if not take_only_candidates(cost, misses, rules[21] > 0, took) or stage == PAIRING:
+        if not take_only_candidates(cost, misses, rules[22] > 0, took) or stage == PAIRING:
             return False, 0, 0, 0, 0
     update_modes((mu, modes, spreads), (x, P), took, weights, measured, means[2])
     before = status, age, hits, misses, extent, near_offset, n_pixels, class_probability, memory
