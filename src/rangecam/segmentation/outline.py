@@ -40,8 +40,11 @@ def cut_short(
             start = start + depth - 1 if from_end else start
             room = size - 1 - start if from_end else start  # pixels between the box and the edge of the image
             inward = -step if from_end else step
-            seen, hidden, goes_on, unclear = outline, occluded, 0, 0
-            aside_m, more_m, weight, deeper = 0.0, 0.0, 0.0, 0.0
+            seen, hidden, goes_on, unclear, aside_m, more_m, reach = outline, occluded, 0, 0, 0.0, 0.0, 0
+            if across and limits[5] > 0:
+                reach = _reach(
+                    flat, k + 1, x, z, ranges, why, (first, lines, start, depth, width, inward, room), limits
+                )
             for line in range(first, first + lines):
                 pixel, walked = line * line_step + start * step, 0
                 while walked < depth and flat[pixel] != k + 1:
@@ -54,8 +57,8 @@ def cut_short(
                         end_m = _end(y, ranges[0], pixel, inner, limits[4])
                         aside_m += end_m
                         if limits[5] > 0:
-                            more, w, d = _further(x, ranges, why, pixel, inner, -inward, left, z[inner], limits)
-                            weight, deeper, unclear = weight + w, deeper + d, unclear + (more < 0)
+                            more = _further(x, ranges, why, pixel, inner, -inward, walked + reach, z[inner], limits)
+                            unclear += more < 0
                         if more > 0:
                             pixel, left = pixel - more * inward, left - more
                             more_m += abs(_far_end(y, ranges[0], pixel, pixel + inward, inner, limits[4]) - end_m)
@@ -73,10 +76,8 @@ def cut_short(
             if 2 * goes_on > outline - seen:
                 bits |= 1 << side
             if across:
-                # that of which no end is seen has none; and what is deeper is a flank, seen at a grazing angle
-                flank = abs(deeper) > weight * limits[1] / 2 + limits[2] * math.sqrt(weight)
-                none = flank or bits & 1 << side != 0
-                further_m[k, side] = 0.0 if none else more_m / max(outline - seen - unclear, 1)
+                open_end = bits & 1 << side != 0  # nobody sees where it ends
+                further_m[k, side] = 0.0 if open_end else more_m / max(outline - seen - unclear, 1)
                 ends[k, side] = aside_m / (outline - seen) + further_m[k, side] * (-1 if from_end else 1)
         cut[k] = bits | _OCCLUDED | beside if occluded > max(1.0, limits[3] * outline) else bits
 
@@ -99,30 +100,74 @@ def _end(y: Any, range_m: Any, outer: int, inner: int, camera_y: float) -> float
 
 
 @njit(cache=True, nogil=True)
-def _further(
-    x: Any, ranges: Any, why: Any, pixel: int, inner: int, outward: int, left: int, above: float, limits: Any
-) -> tuple[int, float, float]:
-    """Return how many pixels outwards of an outermost one show the same surface, as deep as `inner`; -1: unknown.
+def _reach(flat: Any, label: int, x: Any, z: Any, ranges: Any, why: Any, side: Any, limits: Any) -> int:
+    """Return how many columns beside the box of a segment show the same surface, all rows of the box together.
 
-    They lie outside the area of interest, or are too dim to be used. And the sum of their weights, and of their
-    weighted depths from `inner`. above: z of the surface. A ray that goes down and passes it sees the floor, by z over
-    the rest of the height of the camera farther away: where the noise does not tell the two apart, nobody knows.
+    side: first row, rows, outermost column, columns of the box, columns of the image, step inwards, columns beside it.
+    They show it if most of their pixels lie outside the area of interest or are too dim to be used, and are as deep as
+    the outermost ones of the segment in the mean. Columns that are deeper all together are a flank of the thing.
+    """
+    first, lines, start, depth, width, inward, room = side
+    range_m, sigma_m = ranges
+    number, x_sum, range_sum = 0, 0.0, 0.0
+    for row in range(first, first + lines):
+        pixel, walked = row * width + start, 0
+        while walked < depth and flat[pixel] != label:
+            pixel, walked = pixel + inward, walked + 1
+        if walked < depth:
+            inner = pixel + inward if walked + 1 < depth and flat[pixel + inward] == label else pixel
+            number, x_sum, range_sum = number + 1, x_sum + x[inner], range_sum + range_m[inner]
+    x_m, away_m, all_weights, all_depths, reach = x_sum / number, range_sum / number, 0.0, 0.0, 0
+    while reach < room:
+        shown, weight, deeper = 0, 0.0, 0.0
+        for row in range(first, first + lines):
+            other = row * width + start - (reach + 1) * inward
+            above = limits[0] + (z[other] - limits[0]) * away_m / range_m[other] if range_m[other] > 0 else 0.0
+            if _may_show(why[other], range_m[other], sigma_m[other], limits) and (
+                why[other] == _OUTSIDE or _above_floor(away_m, above, limits[2] * sigma_m[other], limits)
+            ):
+                precision = 1 / max(sigma_m[other], _LEAST_M) ** 2
+                shown, weight, deeper = shown + 1, weight + precision, deeper + precision * (x[other] - x_m)
+        if 2 * shown < number or abs(deeper) > weight * limits[1] / 2 + 2 * math.sqrt(weight):
+            break
+        all_weights, all_depths, reach = all_weights + weight, all_depths + deeper, reach + 1
+    return 0 if abs(all_depths) > all_weights * limits[1] / 4 + 2 * math.sqrt(all_weights) else reach
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _may_show(reason: int, range_m: float, sigma_m: float, limits: Any) -> bool:
+    """Return whether a pixel that was refused measures a range, if the surface is outside the area or dim."""
+    dim = (reason == _DIM or reason == _ISOLATED) and sigma_m <= limits[5]  # noqa: SIM109
+    return bool((dim or reason == _OUTSIDE) and range_m > 0)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _above_floor(range_m: float, above: float, noise: float, limits: Any) -> bool:
+    """Return whether the noise tells a surface, z above the floor, from the floor behind it on the same ray.
+
+    A ray that goes down meets it by z over the rest of the height of the camera farther away.
+    """
+    return bool(above >= limits[0] or range_m * above > 2 * noise * (limits[0] - above))
+
+
+@njit(cache=True, nogil=True)
+def _further(
+    x: Any, ranges: Any, why: Any, pixel: int, inner: int, outward: int, most: int, above: float, limits: Any
+) -> int:
+    """Return how many pixels, at most, outwards of an outermost one show the same surface as `inner`; -1: unknown.
+
+    above: z of the surface.
     """
     range_m, sigma_m = ranges
-    floor_m = range_m[inner] * above / (limits[0] - above) if above < limits[0] else math.inf
-    more, other, weight, depth = 0, pixel + outward, 0.0, 0.0
-    while more < left:
-        reason, sigma = why[other], sigma_m[other]
-        dim = reason in (_DIM, _ISOLATED) and sigma <= limits[5]
-        apart, noise = x[other] - x[inner], limits[2] * math.sqrt(sigma_m[inner] ** 2 + sigma**2)
-        if not ((dim or reason == _OUTSIDE) and range_m[other] > 0 and abs(apart) <= limits[1] / 2 + noise):
+    more, other = 0, pixel + outward
+    while more < most and _may_show(why[other], range_m[other], sigma_m[other], limits):
+        noise = limits[2] * math.sqrt(sigma_m[inner] ** 2 + sigma_m[other] ** 2)
+        if not abs(x[other] - x[inner]) <= limits[1] / 2 + noise:
             break
-        if dim and not floor_m > 2 * noise:
-            return -1, 0.0, 0.0
-        precision = 1 / max(sigma, _LEAST_M) ** 2
-        weight, depth = weight + precision, depth + precision * apart
+        if why[other] != _OUTSIDE and not _above_floor(range_m[inner], above, noise, limits):
+            return -1
         more, other = more + 1, other + outward
-    return more, weight, depth
+    return more
 
 
 @njit(cache=True, nogil=True, forceinline=True)
