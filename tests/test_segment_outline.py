@@ -309,3 +309,95 @@ def test_what_has_no_inner_pixels_is_flat_and_without_light_nothing_is_said_of_s
     seen = surface(MIDDLE, dark)
     assert seen["shade"] == 0.0
     assert seen["lean_across"] == pytest.approx(0.4, abs=0.03)
+
+
+# ---- a thing ends where its surface does
+
+
+THING = np.s_[8:20, 22:42]
+
+
+def dim(sigma_m=0.2, deeper_m=3.0, seed=5):
+    """Return a plate at 5 m, of which nothing is bright enough yet, before something deeper that is darker still."""
+    rng, source = np.random.default_rng(seed), wall(sigma_m=0.02)
+    shown = np.zeros(SHAPE, bool)
+    shown[THING] = True
+    source.range_m[~shown] += deeper_m
+    source.sigma_m[:] = np.where(shown, sigma_m, 1.0)
+    source.range_m[:] += source.sigma_m * rng.standard_normal(SHAPE)
+    source.why[:] = Why.LOW_AMPLITUDE
+    return source
+
+
+def brightened(source, columns):
+    """Return labels and image where these columns of the thing are bright enough by now."""
+    labels = block(slice(8, 20), columns)
+    seen = labels > 0
+    range_m = np.where(seen, wall().range_m, source.range_m)
+    sigma_m, why = np.where(seen, 0.02, source.sigma_m), np.where(seen, 0, source.why)
+    return labels, RangeImage(0.0, range_m, sigma_m.astype(np.float32), source.amplitude, why.astype("u1"))
+
+
+WHOLE_M = np.tan(np.radians(25)) * (1 - np.array([22, 42]) / 30) * 5.0
+PIXEL_M = 2 * np.tan(np.radians(25)) * 5.0 / 60
+
+
+@pytest.mark.parametrize("columns", [slice(30, 34), slice(26, 40), slice(22, 30), slice(22, 42)])
+@pytest.mark.parametrize("reason", [Why.LOW_AMPLITUDE, Why.ISOLATED])
+def test_a_dim_thing_ends_where_its_surface_does_however_much_of_it_is_bright(columns, reason):
+    source = dim()
+    source.why[:] = reason
+    found = segment(*brightened(source, columns), dim_sigma_m=0.3)
+    assert_allclose(found.ends_m, WHOLE_M, atol=0.6 * PIXEL_M)
+    assert_allclose(found.position_m[1], WHOLE_M.mean(), atol=0.5 * PIXEL_M)
+    assert_allclose(found.size_m[1], WHOLE_M[0] - WHOLE_M[1], atol=1.2 * PIXEL_M)
+    assert found.cut == 0
+
+
+def test_without_a_limit_or_dimmer_than_it_a_thing_ends_with_its_label():
+    labels, source = brightened(dim(), slice(26, 40))
+    ends_m = [segment(labels, source, dim_sigma_m=sigma_m).ends_m for sigma_m in (0.0, 0.15)]
+    assert_allclose(ends_m, np.tan(np.radians(25)) * (1 - np.array([[26, 40]] * 2) / 30) * 5.0, atol=0.15 * PIXEL_M)
+
+
+def test_all_rows_together_tell_a_thing_from_what_is_half_a_metre_behind_it():
+    labels, source = brightened(dim(deeper_m=0.5), slice(22, 42))
+    source.sigma_m[labels == 0] = 0.25
+    source.range_m[labels == 0] = (wall(5.5).range_m + 0.25 * np.random.default_rng(6).standard_normal(SHAPE))[
+        labels == 0
+    ]
+    assert_allclose(segment(labels, source, dim_sigma_m=0.3).ends_m, WHOLE_M, atol=0.6 * PIXEL_M)
+
+
+def test_of_a_flank_that_leads_away_no_more_than_a_pixel_is_taken_for_the_front():
+    labels, source = brightened(dim(), slice(22, 42))
+    for beside in range(8):
+        depth_m = 5.0 + 0.12 * (beside + 1)
+        source.range_m[8:20, 42 + beside] = wall(depth_m).range_m[8:20, 42 + beside]
+    source.sigma_m[8:20, 42:50] = 0.2
+    assert_allclose(segment(labels, source, dim_sigma_m=0.3).ends_m, WHOLE_M, atol=1.1 * PIXEL_M)
+
+
+def test_dim_floor_beside_the_foot_of_a_thing_is_no_part_of_it():
+    mounting = Mounting(z_m=0.3)
+    down = -(rays(LENS, SHAPE) @ rotation(mounting)[2])
+    source, labels = wall(1.0, sigma_m=0.02), block(slice(22, 28), slice(22, 42))
+    beside = labels == 0
+    source.range_m[beside] = np.where(down > 0, 0.3 / np.maximum(down, 1e-3), 9.0)[beside]
+    source.sigma_m[beside], source.why[beside] = 0.25, Why.LOW_AMPLITUDE
+    ends_m = [segment(labels, source, mounting, dim_sigma_m=sigma_m).ends_m for sigma_m in (0.0, 0.3)]
+    assert_allclose(ends_m[1], ends_m[0])
+
+
+def test_what_lies_beside_the_area_of_interest_belongs_to_a_thing_whose_end_is_seen():
+    labels, source = brightened(dim(), slice(30, 42))
+    source.range_m[THING], source.sigma_m[THING] = wall().range_m[THING], 0.02
+    source.why[8:20, 22:30] = Why.OUTSIDE_AREA
+    found = segment(labels, source, dim_sigma_m=0.3)
+    assert_allclose(found.ends_m, WHOLE_M, atol=0.3 * PIXEL_M)
+    assert found.cut == 0
+    source.range_m[8:20, :22], source.sigma_m[8:20, :22] = wall().range_m[8:20, :22], 0.02
+    source.why[8:20, :22] = Why.OUTSIDE_AREA  # as far as the image reaches
+    found = segment(labels, source, dim_sigma_m=0.3)
+    assert found.cut == Cut.LEFT
+    assert_allclose(found.size_m[1], 12 * PIXEL_M, rtol=0.1)

@@ -26,6 +26,7 @@ def measure_segments(
     the image position (König 2008, 6.4.3.3, E-K-22). Sizes come from the spread of the points: n pixels in a row have a
     variance of (n^2 - 1)/12 footprints^2, so 12 variances plus one footprint^2, less the noise, is the width squared.
     Of a segment that is `cut` short they are those of the part that is seen, and an edge of the image is a sure end.
+    Where the thing goes on at its sides (`dim_sigma_m`), its middle and width across are those of all of it.
     The nearest point is that of the surface: as far from the mean as a quantile of x, less the share of that spread
     which is noise; of a plane that is seen squarely noise alone brings some pixels nearer.
     """
@@ -77,6 +78,7 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
             settings.edge_step,
             settings.depth_scatter,
             settings.edge_range_sigma_m,
+            settings.dim_sigma_m,
         ],
         float,
     )
@@ -137,11 +139,12 @@ def _measure(
         if not math.isfinite(sums[k, :9].sum()):  # an amplitude may be missing
             return False
     _nearest(labels, points, sums, bounds, box, known[19], nearest_m)
-    hides = known[11], known[20], known[21], known[22], known[10]
-    cut_short(labels, points, (range_m, sigma_m, why), box, bounds, hides, cut, ends_m)
+    hides = known[11], known[20], known[21], known[22], known[10], known[26]
+    further_m = np.zeros((len(box), 2))
+    cut_short(labels, points, (range_m, sigma_m, why), box, bounds, hides, cut, ends_m, further_m)
     outline_profile(labels, points, box, profile)
     surface_shape(labels, points, (range_m, amplitude), sums, box, surface)
-    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut, nearest_m)
+    _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut, nearest_m, further_m)
     return True
 
 
@@ -240,6 +243,7 @@ def _evaluate(
     n_pixels: Any,
     cut: Any,
     nearest_m: Any,
+    further_m: Any,
 ) -> Any:
     turn, centre, pitch = known[:9].reshape(3, 3), known[9:12], known[12:14]
     shared, systematic, pixel, jitter, perspective = known[14], known[15], known[16], known[17], known[18]
@@ -269,6 +273,8 @@ def _evaluate(
                 nearest_m[k, 0] += (position_m[k, 0] - nearest_m[k, 0]) * (1 - shape)
             whole = bounds[k, 3 + axis] - bounds[k, axis] + math.sqrt(footprint2)
             size_m[k, axis] = min(math.sqrt(12 * spread + footprint2), whole)
+        position_m[k, 1] += (further_m[k, 0] - further_m[k, 1]) / 2
+        size_m[k, 1] += further_m[k, 0] + further_m[k, 1]
         # an outline jitters at each of its pixels, and a straight edge steps as a whole; an edge of the image does not
         rows, columns = box[k, 2] - box[k, 0], box[k, 3] - box[k, 1]
         beside = 2 - (cut[k] & 1) - (cut[k] >> 1 & 1)  # left and right

@@ -81,3 +81,7 @@ class SegmentSettings:
     """... plus so many standard deviations of the difference of range, ..."""
     occluder_fraction: Fraction = 0.05
     """... along more than this part of the outline, and at more than one of its pixels."""
+    dim_sigma_m: NonNegative = 0.0
+    """A thing ends at its sides where its surface does, also where that goes on outside the area of interest, or is too
+    dim to be used: pixels refused for their light or their neighbours count if the standard deviation of their range is
+    at most this. 0: it ends with its label, and seems to move as more of it becomes bright enough."""

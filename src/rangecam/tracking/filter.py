@@ -41,7 +41,7 @@ def gate_pairs(x: Floats, P: Floats, measured: Measured, gate: float, euclidean:
             if not (position[j, 0] - ahead) ** 2 <= gate * (known + R[j, 0, 0]) < math.inf:  # or not a number
                 continue
             at, spread = position[j], measured[6][i]
-            if measured[4][j, 1] != 0 or measured[5][i, _SIDE] != 0:  # seldom, and it takes time
+            if measured[4][j, 1] != 0 or measured[5][i, _SIDE] != 0 or spread[1] > 0:  # seldom, and it takes time
                 wander[1] = aim(measured, i, j, z, wander) + wander[1]
                 at, spread = z, wander
             for a in range(1, 3):

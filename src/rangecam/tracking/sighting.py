@@ -66,10 +66,10 @@ def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Flo
     size, pixels, cut, sides = seen
     end = np.zeros((cut.size, 3))
     for j in range(cut.size):
+        end[j, 2] = max(sides[j, 0] - sides[j, 1], 0.0) if pixels[j] > 0 else 0.0
         if one_sided(cut[j]) and pixels[j] > 0:
             left = cut[j] & LEFT != 0
             end[j, 0], end[j, 1] = sides[j, 1 if left else 0], 1.0 if left else -1.0
-            end[j, 2] = max(sides[j, 0] - sides[j, 1], 0.0)
             # an end errs twice as much as the middle of it and one that is sure
             R[j, 1, 1] += 3 * covariance[j, 1, 1] - (rules[16] * size[j, 1] ** 2 if cut[j] & ACROSS != 0 else 0.0)
             R[j, 1, 1] += rules[20]
@@ -97,8 +97,9 @@ def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[
 
     end (3,): of the segment, see `ends`; memory: of the track; restless: wander of its middle, which is not that of one
     end; weight: of the newest width. What is wider than it was before has come into sight, or the end that it is placed
-    by errs. Where that is another end than before, or the middle again, what is not known of its width moves it, but
-    says nothing of its speed.
+    by errs; of what is restless one end may have moved alone, and the middle by half of what the width changed. Where
+    it is another end than before, or the middle again, what is not known of its width moves it, but says nothing of its
+    speed.
     """
     side, before, placed, y, wanders, less = end[1], memory[_SIDE], memory[_PLACED], math.nan, restless, 0.0
     if side == _BOTH:
@@ -108,6 +109,8 @@ def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[
     if side != 0:
         y = end[0] + side * placed / 2
         wanders = grows(end, memory, weight) ** 2
+    elif restless > 0 and end[2] > 0:
+        wanders = max(restless, (end[2] - placed) ** 2 / 4)
     return y, wanders, less
 
 
