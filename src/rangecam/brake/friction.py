@@ -164,11 +164,10 @@ def _misfit(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Flo
 
 
 def _slopes(parameters: Floats, time_s: Floats, gap_m: Floats, v0: float) -> Floats:
-    """Return the derivatives of `_misfit` by a, t0 and d0 (N, 3)."""
+    """Return the derivatives of `_misfit` by a, t0 and d0 (N, 3); at standstill those of the way v0^2 / 2 a, and 0."""
     a, since_s = _since(parameters, time_s, v0)
-    moves, braked_s = since_s < v0 / a, np.maximum(since_s, 0.0)
-    by_a = np.where(moves, braked_s**2 / 2, v0**2 / (2 * a**2))
-    return np.stack([by_a, np.where(moves, v0 - a * braked_s, 0.0), np.ones(len(time_s))], axis=1)
+    braked_s = np.maximum(since_s, 0.0)
+    return np.stack([braked_s**2 / 2, v0 - a * braked_s, np.ones(len(time_s))], axis=1)
 
 
 def _since(parameters: Floats, time_s: Floats, v0: float) -> tuple[float, Floats]:
