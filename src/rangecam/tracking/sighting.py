@@ -109,7 +109,7 @@ def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[
     if side != 0:
         y = end[0] + side * placed / 2
         wanders = grows(end, memory, weight) ** 2
-    elif restless > 0 and end[2] > 0:
+    elif restless > 0 and end[1] == 0 and end[2] > 0:
         wanders = max(restless, (end[2] - placed) ** 2 / 4)
     return y, wanders, less
 
