@@ -103,7 +103,6 @@ DIFFERING = {
     "embedded-schedule": ["N-S-046"],
     "embedded-memory": ["N-S-033"],
     "tracking-tuning": ["N-K-086"],
-    "tracking-crowds": ["K-FUT-06", "K-FUT-06", "K-FUT-06"],
 }
 
 

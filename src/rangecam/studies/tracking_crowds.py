@@ -42,7 +42,7 @@ WAYS = {
 the segments (noise chosen: and 0.2 m more; told: and more where something is cut short). Where the middle of somebody
 is of whom one side is hidden, only their width tells: those without shape do not know which side that is."""
 _SIDES = ~np.uint8(Cut.HIDDEN_LEFT | Cut.HIDDEN_RIGHT)
-_RUNS, _LIMIT_M = 20, 1.0
+_RUNS, _LIMIT_M = 12, 1.0
 _WHY = (
     "at least 5 is asked, surely, that is by one standard deviation of the counts; where twelve hide each other, some "
     "are taken for others who are hidden before anybody knows how fast they go, or turn round unseen"

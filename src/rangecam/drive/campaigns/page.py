@@ -14,7 +14,7 @@ LEADS = {
     "scaled-car": "The 1/5-scale car indoors, towards boxes, people, slow cars and things that cross, on floors of "
     "different grip; in one drive of ten something goes wrong. The brake reckons with a friction of 0.3.",
     "full-size": "A passenger car on dry asphalt in the scenarios of Euro NCAP, with the pulsed camera of König, the "
-    "camera of Steinbäck, and one of three modulation frequencies, lit for 20 m, as of today.",
+    "camera of Steinbäck, and one of four modulation frequencies, lit for 20 m, as of today.",
     "false-positives": "Driving past what nobody needs to brake for: bridges, parked cars, bends, rain, leaves, dust, "
     "a car ahead as fast as we are, reflectors beyond the unambiguous range.",
 }
@@ -59,8 +59,9 @@ def html(campaign: str, rows: Rows, recordings: Sequence[str]) -> bytes:
         parts.append(
             section(
                 "Speed of impact",
-                "Each dot is a drive. Physically possible: braking fully as soon as the camera shows enough of the "
-                "target, with the latency of the system, on the true road.",
+                "Each dot is a drive. Physically possible: braking fully when the brake rule, told the truth, demands "
+                "it for a target that the camera shows, with the latency of the system, on the true road. Beyond: "
+                "avoided although that would not do.",
                 figures.avoided(rows),
                 "\n".join(_table(groups(rows, "group", "camera"))),
             )
