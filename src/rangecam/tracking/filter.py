@@ -35,24 +35,33 @@ def gate_pairs(x: Floats, P: Floats, measured: Measured, gate: float, euclidean:
     if euclidean > 0:
         return
     for i in range(cost.shape[0]):
-        ahead, known = x[i, 0], P[i, 0, 0] + time_variance * x[i, 1] ** 2 + measured[6][i, 0]  # most ask no more
+        s00, s01, s02, s11, s12, s22 = _spread(x[i], P[i], time_variance, measured[6][i])
         for j in range(cost.shape[1]):
             cost[i, j] = NO_PAIR
-            if not (position[j, 0] - ahead) ** 2 <= gate * (known + R[j, 0, 0]) < math.inf:  # or not a number
+            u, y = position[j, 0] - x[i, 0], position[j, 1]
+            if not u * u <= gate * (s00 + R[j, 0, 0]) < math.inf:  # most ask no more; or it is not a number
                 continue
-            at, spread = position[j], measured[6][i]
-            if measured[4][j, 1] != 0 or measured[5][i, _SIDE] != 0 or spread[1] > 0:  # seldom, and it takes time
-                wander[1] = aim(measured, i, j, z, wander) + wander[1]
-                at, spread = z, wander
-            for a in range(1, 3):
-                variance = P[i, 3 * a, 3 * a] + R[j, a, a] + time_variance * x[i, 3 * a + 1] ** 2 + spread[a]
-                if not (at[a] - x[i, 3 * a]) ** 2 <= gate * variance < math.inf:
-                    break
-            else:
-                V, det = inverse(innovation_covariance(x[i], P[i], R[j], time_variance, spread))
-                d2 = squared_distance(x[i], V, at)
-                if det > 0 and d2 <= gate:
-                    cost[i, j] = d2 + math.log(det)
+            across = s11 + R[j, 1, 1]
+            if aims(measured[4][j, 1], measured[5][i, _SIDE], measured[6][i, 1]):
+                across += aim(measured, i, j, z, wander) + wander[1] - measured[6][i, 1]
+                y = z[1]
+            v, w = y - x[i, 3], position[j, 2] - x[i, 6]
+            if not v * v <= gate * across < math.inf or not w * w <= gate * (s22 + R[j, 2, 2]) < math.inf:
+                continue
+            S = s00 + R[j, 0, 0], s01 + R[j, 0, 1], s02 + R[j, 0, 2], across, s12 + R[j, 1, 2], s22 + R[j, 2, 2]
+            V, determinant = inverse(S)
+            d2 = squared_distance(V, u, v, w)
+            if determinant > 0 and d2 <= gate:
+                cost[i, j] = d2 + math.log(determinant)
+
+
+@kernel
+def aims(side: float, before: float, restless: float) -> bool:
+    """Return whether `aim` has anything to say of a pair, given what `sighting.aside` asks: seldom, and it takes long.
+
+    Numbers: given all of `measured` it would take longer than what it saves.
+    """
+    return side != 0 or before != 0 or restless > 0
 
 
 @kernel
@@ -110,18 +119,23 @@ def update(
     took (N,): index of the segment, -1 for none; weights (N, M): probability of each segment for the tracks that take
     several.
     """
+    position, R, time_variance = measured[:3]
     W, z, wander = np.empty((3, 9)), np.empty(3), np.empty(3)
     for i in range(took.size):
         j, nis[i] = took[i], np.nan
         if weights is not None and any_of(weights[i]):
             _blend(state[i], covariance[i], weights[i], measured, i)
             continue
-        if j >= 0:
+        if j < 0:
+            continue
+        if aims(measured[4][j, 1], measured[5][i, _SIDE], measured[6][i, 1]):
             covariance[i, 3, 3] += sight(measured, i, j, state[i], covariance[i], z, wander)
             squared, _ = correct(state[i], covariance[i], z, measured[1][j], measured[2], wander, W)
             state[i, 3] += grows(measured[4][j], measured[5][i], measured[7])
-            if measured[3][j] > 0:
-                nis[i] = squared
+        else:
+            squared, _ = correct(state[i], covariance[i], position[j], R[j], time_variance, measured[6][i], W)
+        if measured[3][j] > 0:
+            nis[i] = squared
 
 
 @kernel
@@ -157,9 +171,9 @@ def correct(
     W (3, 9) is to compute in, made once: that takes as long as an update. P is symmetric.
     """
     V, determinant = inverse(innovation_covariance(x, P, R, time_variance, wander))
-    squared = squared_distance(x, V, z)
     v00, v01, v02, v11, v12, v22 = V
     u, v, w = z[0] - x[0], z[1] - x[3], z[2] - x[6]
+    squared = squared_distance(V, u, v, w)
     for b in range(9):
         W[0, b], W[1, b], W[2, b] = P[0, b], P[3, b], P[6, b]  # H P
     for first in range(0, 9, 3):
@@ -179,22 +193,28 @@ def correct(
 
 @kernel
 def innovation_covariance(x: Floats, P: Floats, R: Floats, time_variance: float, wander: Floats) -> Symmetric:
-    """Return S = H P H' + R; H picks x, y, z (E-K-21). A wrong time shifts a moving object along its way."""
+    """Return S = H P H' + R; H picks x, y, z (E-K-21)."""
+    s00, s01, s02, s11, s12, s22 = _spread(x, P, time_variance, wander)
+    return s00 + R[0, 0], s01 + R[0, 1], s02 + R[0, 2], s11 + R[1, 1], s12 + R[1, 2], s22 + R[2, 2]
+
+
+@kernel
+def _spread(x: Floats, P: Floats, time_variance: float, wander: Floats) -> Symmetric:
+    """Return what of S is the track's own. A wrong time shifts a moving object along its way."""
     u, v, w = time_variance * x[1], time_variance * x[4], time_variance * x[7]
     return (
-        P[0, 0] + R[0, 0] + u * x[1] + wander[0],
-        P[0, 3] + R[0, 1] + u * x[4],
-        P[0, 6] + R[0, 2] + u * x[7],
-        P[3, 3] + R[1, 1] + v * x[4] + wander[1],
-        P[3, 6] + R[1, 2] + v * x[7],
-        P[6, 6] + R[2, 2] + w * x[7] + wander[2],
+        P[0, 0] + u * x[1] + wander[0],
+        P[0, 3] + u * x[4],
+        P[0, 6] + u * x[7],
+        P[3, 3] + v * x[4] + wander[1],
+        P[3, 6] + v * x[7],
+        P[6, 6] + w * x[7] + wander[2],
     )
 
 
 @kernel
-def squared_distance(x: Floats, V: Symmetric, z: Floats) -> float:
-    """Return the squared Mahalanobis distance (eq 6.14) with V the inverse of S (E-K-20)."""
-    u, v, w = z[0] - x[0], z[1] - x[3], z[2] - x[6]
+def squared_distance(V: Symmetric, u: float, v: float, w: float) -> float:
+    """Return the squared Mahalanobis distance (eq 6.14) of (u, v, w) with V the inverse of S (E-K-20)."""
     v00, v01, v02, v11, v12, v22 = V
     return v00 * u * u + v11 * v * v + v22 * w * w + 2 * (v01 * u * v + v02 * u * w + v12 * v * w)  # type: ignore[no-any-return]
 

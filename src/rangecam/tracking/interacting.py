@@ -97,7 +97,7 @@ def update_modes(
                 spreads[i, k, 3, 3] += less
             if measured[3][j] > 0:
                 V, _ = inverse(innovation_covariance(x[i], P[i], R, measured[2], wander))
-                nis[i] = squared_distance(x[i], V, z)
+                nis[i] = squared_distance(V, z[0] - x[i, 0], z[1] - x[i, 3], z[2] - x[i, 6])
             _correct_modes(mu[i], modes[i], spreads[i], z, R, measured[2], wander, W, likelihood)
             for k in range(mu.shape[1]):
                 modes[i, k, 3] += grown

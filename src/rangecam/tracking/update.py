@@ -36,7 +36,7 @@ _FIELDS, _TYPE = itemgetter(*_USED), attrgetter("dtype")
 _TYPES: tuple[Any, ...] = tuple(_USED.values())
 _HALVES: Floats = np.array([0.5, -0.5])
 """From the middle of a segment to its left and its right end, as shares of its width."""
-_GROUP, _PARTS = MEMORY.index("merged"), MEMORY.index("parts")
+_GROUP, _PARTS, _COLUMNS = MEMORY.index("merged"), MEMORY.index("parts"), len(MEMORY)
 
 _UNKNOWN = Ego()
 
@@ -152,8 +152,8 @@ def _room(n: int, m: int) -> tuple[Floats, Floats, Ints, Floats, Floats, Floats,
     """Return what a step writes of n tracks and m segments: the last of `Written`."""
     # fmt: off
     return (
-        np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((5, n), int), np.empty((3, n)), np.empty((n, 3)),
-        np.empty((n, len(MEMORY))), np.empty((n, m)), np.empty(n, int),
+        np.empty((n, 9)), np.empty((n, 9, 9)), np.empty((5, n), _INT), np.empty((3, n)), np.empty((n, 3)),
+        np.empty((n, _COLUMNS)), np.empty((n, m)), np.empty(n, _INT),
     )
     # fmt: on
 
