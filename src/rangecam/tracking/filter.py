@@ -216,7 +216,7 @@ def _spread(x: Floats, P: Floats, time_variance: float, wander: Floats) -> Symme
 def squared_distance(V: Symmetric, u: float, v: float, w: float) -> float:
     """Return the squared Mahalanobis distance (eq 6.14) of (u, v, w) with V the inverse of S (E-K-20)."""
     v00, v01, v02, v11, v12, v22 = V
-    return v00 * u * u + v11 * v * v + v22 * w * w + 2 * (v01 * u * v + v02 * u * w + v12 * v * w)  # type: ignore[no-any-return]
+    return v00 * u * u + v11 * v * v + v22 * w * w + 2 * (v01 * u * v + v02 * u * w + v12 * v * w)
 
 
 @kernel
