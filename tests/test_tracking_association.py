@@ -606,6 +606,29 @@ def test_the_speed_of_what_comes_into_sight_is_as_uncertain_as_it_says() -> None
     assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.2  # its process noise is not there
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_box_beside_our_way_whose_far_end_gets_dim_stands_still(side: float) -> None:
+    """0.4 m wide, its near end 0.8 m aside; of its far end we see 6 mm less in each frame."""
+    frames = [seen([3.0, side * (1.0 - 0.003 * k), 0.2], width=0.4 - 0.006 * k) for k in range(20)]
+    by_middle = follow(frames)[-1]
+    by_end = follow(frames, dataclasses.replace(PLAIN, beside_m=0.2))[-1]
+    on_the_way = follow(frames, dataclasses.replace(PLAIN, beside_m=0.81))[-1]
+    assert -side * by_middle.state[0, 4] > 0.04
+    assert abs(by_end.state[0, 4]) < 0.01
+    assert by_end.state[0, 3] == pytest.approx(side * 1.0, abs=0.01)
+    np.testing.assert_array_equal(on_the_way.state, by_middle.state)
+
+
+def test_what_crosses_our_way_is_placed_by_its_near_end_then_its_middle_then_the_other_end() -> None:
+    frames = [seen([3.0, 0.79 - 0.05 * k, 0.2], width=0.4) for k in range(33)]
+    steps = follow(frames, dataclasses.replace(PLAIN, beside_m=0.2))
+    sides = [step.memory[0, MEMORY.index("placed_side")] for step in steps if step.memory is not None]
+    assert sides == [1.0] * 8 + [0.0] * 16 + [-1.0] * 9
+    speeds = np.array([step.state[0, 4] for step in steps])
+    assert abs(speeds[10:] + 1.0).max() < 0.03
+    assert abs(steps[-1].state[0, 3] + 0.81) < 0.01
+
+
 @pytest.mark.parametrize("missing", [0.1, 0.5, 1.0])
 def test_of_what_leaves_the_image_the_depth_is_as_uncertain_as_the_share_of_its_width_that_is_missing(
     missing: float,
@@ -648,3 +671,7 @@ def test_what_is_seen_whole_or_wider_than_expected_is_as_wide_as_it_is_seen() ->
         new = [update_tracks(Tracks.empty(), segments, 0.0, settings) for settings in (PLAIN, expecting)]
         np.testing.assert_array_equal(new[0].covariance, new[1].covariance)
         np.testing.assert_array_equal(new[0].state, new[1].state)
+    beside = [dataclasses.replace(each, beside_m=0.2) for each in (PLAIN, expecting)]  # nothing cuts it short
+    new = [update_tracks(Tracks.empty(), seen([8.0, 1.0, 0.9]), 0.0, settings) for settings in beside]
+    np.testing.assert_array_equal(new[0].state, new[1].state)
+    assert new[0].state[0, 3] == 1.0

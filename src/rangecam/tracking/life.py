@@ -78,9 +78,9 @@ def initiate(tracks: Tracks, seen: Seen, took: Ints, rules: Floats, settings: Tr
 def _whole(
     seen: tuple[Floats, Floats, Floats, Ints], end: Floats, memory: Floats, settings: TrackingSettings
 ) -> tuple[Floats, Floats]:
-    """Return position (M, 3) and covariance of what is cut short and may be wider, as `sighting.ends` places them.
+    """Return position (M, 3) and covariance of what is open at a side and may be wider, as `sighting.ends` places them.
 
-    seen: position, covariance, width and bits of `Cut`. Written, in `memory`: the widths and the side that is cut.
+    seen: position, covariance, width and bits of `Cut`. Written, in `memory`: the widths and the side that is open.
     """
     position, R, width, cut = seen
     side = np.where(np.abs(end[:, 1]) == 1, end[:, 1], 0.0)
@@ -88,7 +88,7 @@ def _whole(
     memory[:, _SIDE] = side
     if not side.any() and not missing.any():
         return position, R
-    placed = np.maximum(end[:, 2], settings.cut_width_m)
+    placed = np.maximum(end[:, 2], np.where(cut & ACROSS != 0, settings.cut_width_m, 0.0))
     memory[missing > 0, _WIDTH] = np.log((width + missing)[missing > 0])
     memory[:, _PLACED] = np.where(end[:, 1] != 0, placed, memory[:, _PLACED])
     position, R = position.copy(), R.copy()

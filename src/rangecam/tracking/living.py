@@ -10,7 +10,7 @@ import numpy as np
 from rangecam.compiled import kernel
 from rangecam.tracking.filter import largest
 from rangecam.tracking.rules import GONE
-from rangecam.tracking.sighting import ACROSS, LEFT, UP, between, one_sided, widened
+from rangecam.tracking.sighting import ACROSS, UP, between, open_side, widened
 from rangecam.types import MEMORY, Floats, Ints, TrackStatus
 
 _TENTATIVE, _CONFIRMED, _COASTING = (int(s) for s in TrackStatus)
@@ -158,13 +158,11 @@ def _reshape(
                 short = cut[j] & (UP if a == 2 else ACROSS) != 0 and a > 0
                 if not short or size[j, a] > old[0][i, a]:
                     new_size[i, a] += weight * (size[j, a] - old[0][i, a])
-            if one_sided(cut[j]):
+            memory[i, _SIDE] = open_side(cut[j], sides[j, 0], sides[j, 1], rules[23])
+            if memory[i, _SIDE] != 0:
                 memory[i, _PLACED] += widened(sides[j, 0] - sides[j, 1], memory[i, _PLACED], weight)
-                memory[i, _SIDE] = 1.0 if cut[j] & LEFT != 0 else -1.0
-            else:
-                if not between(cut[j]):
-                    memory[i, _PLACED] += weight * (size[j, 1] - memory[i, _PLACED])
-                memory[i, _SIDE] = 0.0
+            elif not between(cut[j]):
+                memory[i, _PLACED] += weight * (size[j, 1] - memory[i, _PLACED])
             for a in range(3):
                 apart = shape[j, a] - memory[i, a]
                 short = cut[j] & (ACROSS if a == 0 else UP if a == 1 else ACROSS | UP) != 0

@@ -1,5 +1,6 @@
 """What the kernels are told: which part of a step, by which rules, about which segments."""
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -16,14 +17,26 @@ GONE = -1
 RULES = (
     *("gate", "common", "extent", "time_variance", "weight", "vertical", "confirm_hits", "confirm_frames"),
     *("max_misses", "max_misses_vru", "max_misses_vehicle", "max_misses_obstacle", "max_variance"),
-    *("euclidean", "adapt_s", "adapt_limit", "cut", "max_parts", "outline", "lasts_s", "end", "lateral", "new"),
+    *(
+        "euclidean",
+        "adapt_s",
+        "adapt_limit",
+        "cut",
+        "max_parts",
+        "outline",
+        "lasts_s",
+        "end",
+        "lateral",
+        "new",
+        "beside",
+    ),
 )
 """What the kernels are told by the settings, as one array: largest squared distance, variance of every position, of the
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,
 largest variance of a position; variance of a Euclidean distance, 0 for Mahalanobis'; adaptive process noise;
 variance of the centroid of what is cut short, as a share of the squared size; frames in parts after which they are no
 longer one; variance of the centroid as a share of that of the size; how long an error lasts; variance of an end; share
-of the lateral Q; density of new objects."""
+of the lateral Q; density of new objects; y beyond which a thing is placed by its near end."""
 
 Seen = tuple[Ints, Floats, Floats, Floats, Floats, Ints, Ints, Floats, Floats, Floats, Ints, Floats]
 """label, position_m, covariance_m2, size_m, near_m, n_pixels, box, range_m, amplitude, sigma_range_m, cut and ends_m of
@@ -64,6 +77,7 @@ def rules_of(settings: TrackingSettings) -> Floats:
         "end": settings.end_sigma_m**2,
         "lateral": motion.lateral_share**2,
         "new": settings.new_density_per_m3,
+        "beside": math.inf if settings.beside_m is None else settings.beside_m,
     }
     return np.array([float(rules[name]) for name in RULES])
 

@@ -60,6 +60,9 @@ class TrackingSettings:
     end_sigma_m: NonNegative = 0.1
     """Error, from frame to frame, of where something ends that is cut short at its other side, added to that of the
     pixels: it is placed by this end, and as it comes into sight its speed is that of this end."""
+    beside_m: NonNegative | None = None
+    """What lies wholly beside our way, by more than this from the camera's axis, is placed by its near end, too: only
+    that can meet us. Its far end comes into sight late, gets dim, or is seen less and less; none: by its middle."""
     own_braking_mps2: NonNegative = 0.0
     """While we brake for an object (`Ego.braking`) our deceleration begins, rises and ends within frames, and wheels
     that lock tell nothing of it: standard deviation of its change in a tenth of a second. For the frame vehicle."""

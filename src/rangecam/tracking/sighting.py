@@ -55,24 +55,24 @@ def unseen(
 
 @kernel
 def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Floats, R: Floats) -> Floats:
-    """Return for each segment that is cut at one side where its other end is, the side that is cut, and the width seen.
+    """Return for each segment that is open at one side where its other end is, the side that is open, the width seen.
 
-    (M, 3): y, side (1 left, -1 right, 0: none), width; seen: size, pixels, cut, `Segments.ends_m`. Such a segment says
-    of its track where that end is, as surely as the end is known, which is written into R; how wide the track is beyond
-    it, nothing says, and its position is that of the middle of the width that it has had so far (`placed_width`). So
-    what comes into sight moves as its end does, not as its middle seems to. What is hidden on both sides has side 2,
-    and in place of y the variance of the middle of what is seen: see `within`.
+    (M, 3): y, side (1 left, -1 right, 0: none), width; seen: size, pixels, cut, `Segments.ends_m`; see `open_side`.
+    Such a segment says of its track where that end is, as surely as the end is known, which is written into R; how wide
+    the track is beyond it, nothing says, and its position is that of the middle of the width that it has had so far
+    (`placed_width`). So what comes into sight moves as its end does, not as its middle seems to. What is hidden on both
+    sides has side 2, and in place of y the variance of the middle of what is seen: see `within`.
     """
     size, pixels, cut, sides = seen
     end = np.zeros((cut.size, 3))
     for j in range(cut.size):
         end[j, 2] = max(sides[j, 0] - sides[j, 1], 0.0) if pixels[j] > 0 else 0.0
-        if one_sided(cut[j]) and pixels[j] > 0:
-            left = cut[j] & LEFT != 0
-            end[j, 0], end[j, 1] = sides[j, 1 if left else 0], 1.0 if left else -1.0
+        side = open_side(cut[j], sides[j, 0], sides[j, 1], rules[23]) if pixels[j] > 0 else 0.0
+        if side != 0:
+            end[j, 0], end[j, 1] = sides[j, 1 if side > 0 else 0], side
             # an end errs twice as much as the middle of it and one that is sure
-            R[j, 1, 1] += 3 * covariance[j, 1, 1] - (rules[16] * size[j, 1] ** 2 if cut[j] & ACROSS != 0 else 0.0)
-            R[j, 1, 1] += rules[20]
+            R[j, 1, 1] += 3 * covariance[j, 1, 1] + rules[20]
+            R[j, 1, 1] -= rules[16] * size[j, 1] ** 2 if one_sided(cut[j]) and cut[j] & ACROSS != 0 else 0.0
         elif between(cut[j]) and pixels[j] > 0:
             end[j, 0], end[j, 1] = covariance[j, 1, 1] + rules[16] * size[j, 1] ** 2, _BOTH
             end[j, 2] = size[j, 1]
@@ -151,6 +151,21 @@ _ROOT = math.sqrt(2 * math.pi)
 def between(cut: int) -> bool:
     """Return whether both sides of a segment are hidden by something nearer."""
     return bool(cut & BETWEEN == BETWEEN)
+
+
+@kernel
+def open_side(cut: int, left: float, right: float, beside: float) -> float:
+    """Return the side of a segment at which it may go on, or is of no interest: 1 left, -1 right, 0 none or both.
+
+    left, right: y of its ends. It is the one that is cut, or the far one of what lies wholly beside our way, by more
+    than `beside`: only the near end can meet us, and it is what is known best. Passing a thing, we see less and less of
+    its far end, and the flank beside the near one more and more, so that its middle seems to come towards us.
+    """
+    if one_sided(cut):
+        return 1.0 if cut & LEFT != 0 else -1.0
+    if cut & (LEFT | RIGHT) != 0:
+        return 0.0
+    return 1.0 if right > beside else -1.0 if left < -beside else 0.0
 
 
 @kernel
