@@ -118,13 +118,13 @@ def first_sight(scenario: Scenario, config: Config, free: Roll, seed: int) -> in
 
 
 def first_demand(
-    scenario: Scenario, config: Config, settings: DriveSettings, free: Roll, looks: tuple[int, int]
+    scenario: Scenario, config: Config, settings: DriveSettings, free: Roll, first: int, seed: int
 ) -> int | None:
     """Return the number of the first frame that lets the ideal system brake; None if none does.
 
-    looks: number of the first frame that shows enough, seed.
+    first: number of the first frame that shows enough.
     """
-    sure, seed = looks[0] + config.tracking.confirm_hits - 1, looks[1]
+    sure = first + config.tracking.confirm_hits - 1
     for k in range(sure, _frames(config, free)):
         if _is_due(scenario, config, settings, free, k) and _shows(scenario, config, free, k, seed):
             return k
@@ -225,7 +225,7 @@ def bound_of(scenario: Scenario, config: Config, settings: DriveSettings, seed: 
     if first is None:
         return Bound(True, free.impact_mps, math.inf, free.impact_mps, False)
     seen_s = _exposed_s(config, first)
-    demand = first_demand(scenario, config, settings, free, (first, seed))
+    demand = first_demand(scenario, config, settings, free, first, seed)
     takes_s = settings.result_after_frames / config.camera.frame_rate_hz + 2 * settings.step_s
     braked_s = math.inf if demand is None else _exposed_s(config, demand) + takes_s
     if braked_s >= free.hit_s:

@@ -6,7 +6,7 @@ import numpy as np
 
 from rangecam.compiled import kernel
 from rangecam.tracking.association import NO_PAIR
-from rangecam.tracking.sighting import aside, grows, within
+from rangecam.tracking.sighting import BOTH, aside, grows, within
 from rangecam.types import MEMORY, Floats, Ints
 
 _SIDE = MEMORY.index("placed_side")
@@ -82,7 +82,7 @@ def aim(measured: Measured, i: int, j: int, z: Floats, wander: Floats) -> float:
 def sight(measured: Measured, i: int, j: int, x: Floats, P: Floats, z: Floats, wander: Floats) -> float:
     """Do what `aim` does for the update of a state; what is seen between two nearer things says only as much."""
     less = aim(measured, i, j, z, wander)
-    if measured[4][j, 1] == 2:
+    if measured[4][j, 1] == BOTH:
         z[1], variance = within(x, P, less, measured[4][j], measured[5][i], z[1])
         wander[1] += variance - measured[1][j, 1, 1]
     return less

@@ -17,19 +17,8 @@ GONE = -1
 RULES = (
     *("gate", "common", "extent", "time_variance", "weight", "vertical", "confirm_hits", "confirm_frames"),
     *("max_misses", "max_misses_vru", "max_misses_vehicle", "max_misses_obstacle", "max_variance"),
-    *(
-        "euclidean",
-        "adapt_s",
-        "adapt_limit",
-        "cut",
-        "max_parts",
-        "outline",
-        "lasts_s",
-        "end",
-        "lateral",
-        "new",
-        "beside",
-    ),
+    *("euclidean", "adapt_s", "adapt_limit", "cut", "max_parts", "outline"),
+    *("lasts_s", "end", "lateral", "new", "beside"),
 )
 """What the kernels are told by the settings, as one array: largest squared distance, variance of every position, of the
 centroid as a share of the squared size, of the time, weight of new shapes, share of the vertical Q, rules of life,

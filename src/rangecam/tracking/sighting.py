@@ -15,7 +15,8 @@ BESIDE = int(Cut.LEFT | Cut.RIGHT)
 """What leaves the image at a side, or comes into it."""
 BETWEEN = int(Cut.HIDDEN_LEFT | Cut.HIDDEN_RIGHT)
 """What is seen between two nearer things."""
-_BOTH = 2.0
+BOTH = 2.0
+"""In the place of the side that is open: hidden on both sides by something nearer."""
 _SPREAD, _PLACED, _SIDE = (MEMORY.index(name) for name in ("log_width_variance", "placed_width", "placed_side"))
 
 
@@ -74,7 +75,7 @@ def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Flo
             R[j, 1, 1] += 3 * covariance[j, 1, 1] + rules[20]
             R[j, 1, 1] -= rules[16] * size[j, 1] ** 2 if one_sided(cut[j]) and cut[j] & ACROSS != 0 else 0.0
         elif between(cut[j]) and pixels[j] > 0:
-            end[j, 0], end[j, 1] = covariance[j, 1, 1] + rules[16] * size[j, 1] ** 2, _BOTH
+            end[j, 0], end[j, 1] = covariance[j, 1, 1] + rules[16] * size[j, 1] ** 2, BOTH
             end[j, 2] = size[j, 1]
     return end
 
@@ -102,7 +103,7 @@ def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[
     speed.
     """
     side, before, placed, y, wanders, less = end[1], memory[_SIDE], memory[_PLACED], math.nan, restless, 0.0
-    if side == _BOTH:
+    if side == BOTH:
         side = 0.0
     if side != before:
         less = (side - before) ** 2 * placed**2 * memory[_SPREAD] / 4
