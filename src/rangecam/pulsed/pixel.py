@@ -103,32 +103,37 @@ def offsets(shape: tuple[int, int, int], widths_s: tuple[float, ...], temperatur
 
 def read_out(
     single_v: Floats, ambient_v: Floats, offset_v: Floats, pixel: Pixel, averages: int, rng: np.random.Generator
-) -> Floats:
-    """Return what the converter gives at every number of accumulations of a run: (averages, K, S, H, W) V.
+) -> tuple[Floats, NDArray[np.uint8]]:
+    """Return what the converter gives, V (S, H, W), and the accumulations of each pixel (H, W), common to its shutters.
 
     single_v: signal of one pulse (S, H, W), or the mean over the pulses up to each read-out (averages, K, S, H, W).
-    ambient_v (S, H, W): background of one exposure. offset_v: of each read-out, see `offsets`.
-    The accumulated signal is read without destroying it (4.1.1.4): its noise goes on growing pulse by pulse, while each
-    read-out adds its own. The noise of a value is `noise_variance`. A pixel that laser and background fill in one
-    exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
+    ambient_v (S, H, W): background of one exposure. offset_v (K, S, H, W): of each read-out, see `offsets`.
+    Of the K numbers of accumulations the largest is taken at which no shutter of the pixel is saturated (4.1.1.3;
+    K-PIX-10), else the smallest. Values are means over the averaged images, full scale if one of them is. A pixel that
+    laser and background fill in one exposure delivers the full scale: the control sees that before the background is
+    subtracted (K-PIX-07).
+    The accumulated signal is read without destroying it (4.1.1.4): its noise grows pulse by pulse, while each read-out
+    adds its own; together they are `noise_variance`. What counts is drawn, from the last read-out backwards: of an
+    earlier one only where a pixel is full, given what it has become by then, so that the read-outs of a run share the
+    noise of their pulses.
     """
     steps, damped, numbers = _of_read_outs(pixel)
-    shape = (averages, len(steps), *ambient_v.shape)
-    flat = (*shape[:3], -1)
-    values_v = np.empty(shape)
-    mean_of = (1, 1) if single_v.ndim == 3 else shape[:2]
-    _read_out(
-        single_v.reshape(*mean_of, shape[2], -1),
-        ambient_v.reshape(len(ambient_v), -1),
-        offset_v.reshape(len(steps), len(ambient_v), -1),
-        rng.standard_normal((2, *shape), np.float32).reshape(2, *flat),
-        steps,
-        damped,
-        numbers,
-        step_v(pixel),
-        values_v.reshape(flat),
-    )
-    return values_v
+    chosen_v, n_acc = np.empty(ambient_v.shape), np.empty(ambient_v.shape[1:], np.uint8)
+    flat, full = (len(ambient_v), n_acc.size), np.arange(n_acc.size)
+    means_v = single_v.reshape(*((1, 1) if single_v.ndim == 3 else (averages, len(steps))), *flat)
+    noise_v, grown_v2 = np.zeros((averages, *flat)), np.full((averages, *flat), np.inf)
+    for k in range(len(steps) - 1, -1, -1):
+        full = _read_out(
+            (means_v[:, min(k, means_v.shape[1] - 1)], ambient_v.reshape(flat), offset_v[k].reshape(flat)),
+            rng.standard_normal((2, averages, len(ambient_v), full.size), np.float32),
+            (steps[k], damped[k], numbers, step_v(pixel)),
+            (noise_v, grown_v2),
+            full,
+            (chosen_v.reshape(flat), n_acc.reshape(-1)),
+        )
+        if full.size == 0:
+            break
+    return chosen_v, n_acc
 
 
 @lru_cache(maxsize=16)
@@ -141,82 +146,40 @@ def _of_read_outs(pixel: Pixel) -> tuple[Floats, Floats, Floats]:
 
 
 @njit(cache=True, nogil=True)
-def _read_out(
-    single_v: Any,
-    ambient_v: Any,
-    offset_v: Any,
-    deviates: Any,
-    steps: Any,
-    damped: Any,
-    settings: Any,
-    step: Any,
-    values_v: Any,
-) -> Any:
-    """Fill the values (A, K, S, P), the full scale for a pixel that one exposure fills."""
-    sensor_v2, readout_v, per_photon, full_v = settings
-    averages, count, windows, pixels = values_v.shape
-    noise_v, before_v2 = np.empty(pixels), np.empty(pixels)
-    for a in range(averages):
-        for s in range(windows):
-            noise_v[:], before_v2[:] = 0.0, 0.0
-            for k in range(count):
-                n, d = steps[k], damped[k]
-                means_v = single_v[min(a, len(single_v) - 1), min(k, single_v.shape[1] - 1), s]
-                for i in range(pixels):
-                    mean_v = means_v[i]
-                    so_far_v2 = n * (sensor_v2 + per_photon * (max(mean_v, 0.0) + 2 * ambient_v[s, i]))
-                    noise_v[i] += np.sqrt(max(so_far_v2 - before_v2[i], 0.0)) * deviates[0, a, k, s, i]
-                    before_v2[i] = so_far_v2
-                    value_v = d * (n * mean_v + noise_v[i] + readout_v * deviates[1, a, k, s, i]) + offset_v[k, s, i]
-                    value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
-                    values_v[a, k, s, i] = _converted(value_v, full_v, step)
+def _read_out(light: Any, deviates: Any, rules: Any, walk: Any, pixels: Any, result: Any) -> Any:
+    """Fill values and number of one read-out into some pixels; return those of them that are full, in their place.
 
-
-def adapt(values_v: Floats, pixel: Pixel) -> tuple[Floats, NDArray[np.uint8]]:
-    """Return the shutter values, V, (S, H, W) and the accumulations of each pixel (H, W), common to its shutters.
-
-    values_v (averages, K, S, H, W): see `read_out`. Of the numbers of accumulations the largest is taken at which no
-    shutter of the pixel is saturated (4.1.1.3; K-PIX-10), else the smallest. Values are means over the averaged images,
-    full scale if one of them is.
+    walk: noise of the pulses and its variance at the read-out after this one, then at this one. Noise that grows to x
+    by the variance V has, where its variance was v, the mean x v / V and the variance v (1 - v / V); V is infinite
+    and x nothing where nothing is known.
     """
-    averages, count, windows, *image = values_v.shape
-    chosen_v, n_acc = np.empty((windows, *image)), np.empty(image, np.uint8)
-    _adapt(
-        values_v.reshape(averages, count, windows, -1),
-        _numbers(pixel),
-        pixel.saturation_v,
-        chosen_v.reshape(windows, -1),
-        n_acc.reshape(-1),
-    )
-    return chosen_v, n_acc
-
-
-@lru_cache(maxsize=16)
-def _numbers(pixel: Pixel) -> NDArray[np.uint8]:
-    """Return the numbers of accumulations, in order."""
-    return np.array(sorted(pixel.accumulations), np.uint8)
-
-
-@njit(cache=True, nogil=True)
-def _adapt(values_v: Any, steps: Any, full_v: Any, chosen_v: Any, n_acc: Any) -> Any:
-    averages, count, windows, pixels = values_v.shape
-    best, full = np.zeros(pixels, np.int64), np.empty(pixels, np.bool_)
-    for k in range(count):  # whole rows of pixels, several at once
-        full[:] = False
-        for a in range(averages):
-            for s in range(windows):
-                for i in range(pixels):
-                    full[i] |= values_v[a, k, s, i] >= full_v
-        for i in range(pixels):
-            best[i] = best[i] if full[i] else k
-    for i in range(pixels):
-        n_acc[i] = steps[best[i]]
+    (means_v, ambient_v, offset_v), (noise_v, grown_v2), (chosen_v, n_acc) = light, walk, result
+    n, d, (sensor_v2, readout_v, per_photon, full_v), step = rules
+    averages, windows, _ = noise_v.shape
+    count = 0
+    for j in range(len(pixels)):
+        i, full = pixels[j], False
         for s in range(windows):
             total_v, filled = 0.0, False
             for a in range(averages):
-                total_v += values_v[a, best[i], s, i]
-                filled |= values_v[a, best[i], s, i] >= full_v
+                mean_v = means_v[min(a, len(means_v) - 1), s, i]
+                so_far_v2 = n * (sensor_v2 + per_photon * (max(mean_v, 0.0) + 2 * ambient_v[s, i]))
+                so_far_v2 = min(so_far_v2, grown_v2[a, s, i])
+                share = so_far_v2 / grown_v2[a, s, i] if so_far_v2 > 0 else 0.0
+                noise_v[a, s, i] = share * noise_v[a, s, i] + np.sqrt(so_far_v2 * (1 - share)) * deviates[0, a, s, j]
+                grown_v2[a, s, i] = so_far_v2
+                value_v = d * (n * mean_v + noise_v[a, s, i] + readout_v * deviates[1, a, s, j]) + offset_v[s, i]
+                value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
+                value_v = _converted(value_v, full_v, step)
+                total_v += value_v
+                filled |= value_v >= full_v
             chosen_v[s, i] = full_v if filled else total_v / averages
+            full |= filled
+        n_acc[i] = n
+        if full:
+            pixels[count] = i
+            count += 1
+    return pixels[:count]
 
 
 def convert(value_v: Floats, pixel: Pixel) -> Floats:
