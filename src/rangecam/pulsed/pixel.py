@@ -118,22 +118,27 @@ def read_out(
     noise of their pulses.
     """
     steps, damped, numbers = _of_read_outs(pixel)
-    chosen_v, n_acc = np.empty(ambient_v.shape), np.empty(ambient_v.shape[1:], np.uint8)
-    flat, full = (len(ambient_v), n_acc.size), np.arange(n_acc.size)
+    flat = len(ambient_v), ambient_v[0].size
     means_v = single_v.reshape(*((1, 1) if single_v.ndim == 3 else (averages, len(steps))), *flat)
     noise_v, grown_v2 = np.zeros((averages, *flat)), np.full((averages, *flat), np.inf)
+    left: tuple[Floats, ...] = means_v, ambient_v.reshape(flat), offset_v.reshape(len(steps), *flat), noise_v, grown_v2
+    chosen_v, n_acc, pixels = np.empty(flat), np.empty(flat[1], np.uint8), _ALL
     for k in range(len(steps) - 1, -1, -1):
-        full = _read_out(
-            (means_v[:, min(k, means_v.shape[1] - 1)], ambient_v.reshape(flat), offset_v[k].reshape(flat)),
-            rng.standard_normal((2, averages, len(ambient_v), full.size), np.float32),
-            (steps[k], damped[k], numbers, step_v(pixel)),
-            (noise_v, grown_v2),
-            full,
-            (chosen_v.reshape(flat), n_acc.reshape(-1)),
-        )
-        if full.size == 0:
+        means_v, ambient_v, offset_v, noise_v, grown_v2 = left
+        light = np.ascontiguousarray(means_v[:, min(k, means_v.shape[1] - 1)]), ambient_v, offset_v[k]
+        deviates = rng.standard_normal((2, *noise_v.shape), np.float32)
+        values_v, full = np.empty(ambient_v.shape), np.zeros(ambient_v.shape[1])
+        _read_out(light, deviates, (steps[k], damped[k], numbers, step_v(pixel)), noise_v, grown_v2, values_v, full)
+        chosen_v[:, pixels], n_acc[pixels] = values_v, steps[k]
+        again = full.nonzero()[0]
+        if again.size == 0:
             break
-    return chosen_v, n_acc
+        pixels = again if pixels is _ALL else pixels[again]
+        left = tuple([each.take(again, axis=-1) for each in left])
+    return chosen_v.reshape(single_v.shape[-3:]), n_acc.reshape(single_v.shape[-2:])
+
+
+_ALL: Any = slice(None)
 
 
 @lru_cache(maxsize=16)
@@ -145,41 +150,37 @@ def _of_read_outs(pixel: Pixel) -> tuple[Floats, Floats, Floats]:
     return steps, damping(steps, pixel), np.array([sensor_v**2, readout_v, per_photon, pixel.saturation_v])
 
 
-@njit(cache=True, nogil=True)
-def _read_out(light: Any, deviates: Any, rules: Any, walk: Any, pixels: Any, result: Any) -> Any:
-    """Fill values and number of one read-out into some pixels; return those of them that are full, in their place.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _read_out(light: Any, deviates: Any, rules: Any, noise_v: Any, grown_v2: Any, values_v: Any, full: Any) -> Any:
+    """Fill values (S, N) of one read-out, and 1 for each pixel that is full; whole rows of pixels, several at once.
 
-    walk: noise of the pulses and its variance at the read-out after this one, then at this one. Noise that grows to x
-    by the variance V has, where its variance was v, the mean x v / V and the variance v (1 - v / V); V is infinite
-    and x nothing where nothing is known.
+    noise_v, grown_v2 (averages, S, N): noise of the pulses and its variance at the read-out after this one, then at
+    this one. Noise that grows to x by the variance V has, where its variance was v, the mean x v / V and the variance
+    v (1 - v / V); V is infinite and x nothing where nothing is known.
     """
-    (means_v, ambient_v, offset_v), (noise_v, grown_v2), (chosen_v, n_acc) = light, walk, result
-    n, d, (sensor_v2, readout_v, per_photon, full_v), step = rules
-    averages, windows, _ = noise_v.shape
-    count = 0
-    for j in range(len(pixels)):
-        i, full = pixels[j], False
-        for s in range(windows):
-            total_v, filled = 0.0, False
-            for a in range(averages):
-                mean_v = means_v[min(a, len(means_v) - 1), s, i]
-                so_far_v2 = n * (sensor_v2 + per_photon * (max(mean_v, 0.0) + 2 * ambient_v[s, i]))
-                so_far_v2 = min(so_far_v2, grown_v2[a, s, i])
-                share = so_far_v2 / grown_v2[a, s, i] if so_far_v2 > 0 else 0.0
-                noise_v[a, s, i] = share * noise_v[a, s, i] + np.sqrt(so_far_v2 * (1 - share)) * deviates[0, a, s, j]
-                grown_v2[a, s, i] = so_far_v2
-                value_v = d * (n * mean_v + noise_v[a, s, i] + readout_v * deviates[1, a, s, j]) + offset_v[s, i]
+    (means_v, ambient_v, offset_v), (n, d, (sensor_v2, readout_v, per_photon, full_v), step) = light, rules
+    averages, windows, pixels = noise_v.shape
+    most_v = np.empty(pixels)
+    for s in range(windows):
+        values_v[s], most_v[:] = 0.0, 0.0
+        for a in range(averages):
+            of_a = min(a, len(means_v) - 1)
+            for i in range(pixels):
+                mean_v, above_v2 = means_v[of_a, s, i], grown_v2[a, s, i]
+                so_far_v2 = n * (sensor_v2 + per_photon * ((mean_v if mean_v > 0.0 else 0.0) + 2 * ambient_v[s, i]))
+                so_far_v2 = so_far_v2 if so_far_v2 < above_v2 else above_v2
+                share = so_far_v2 / above_v2 if so_far_v2 > 0.0 else 0.0
+                noise = share * noise_v[a, s, i] + np.sqrt(so_far_v2 * (1 - share)) * deviates[0, a, s, i]
+                noise_v[a, s, i], grown_v2[a, s, i] = noise, so_far_v2
+                value_v = d * (n * mean_v + noise + readout_v * deviates[1, a, s, i]) + offset_v[s, i]
                 value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
                 value_v = _converted(value_v, full_v, step)
-                total_v += value_v
-                filled |= value_v >= full_v
-            chosen_v[s, i] = full_v if filled else total_v / averages
-            full |= filled
-        n_acc[i] = n
-        if full:
-            pixels[count] = i
-            count += 1
-    return pixels[:count]
+                values_v[s, i] += value_v
+                most_v[i] = value_v if value_v > most_v[i] else most_v[i]
+        for i in range(pixels):
+            filled = most_v[i] >= full_v
+            values_v[s, i] = full_v if filled else values_v[s, i] / averages
+            full[i] = 1.0 if filled else full[i]
 
 
 def convert(value_v: Floats, pixel: Pixel) -> Floats:
