@@ -15,7 +15,7 @@ from rangecam.pulsed.settings import Pixel, ReadoutNoise, SensorNoise
 
 PIXEL = Pixel()
 ROUGH = replace(PIXEL, adc_bits=0)
-NONE = np.zeros((1, 20, 2000))
+NONE = np.zeros((1, 100, 2000))
 
 
 def chosen(single_v, pixel, ambient_v=0.0, averages=1, seed=0):
@@ -128,7 +128,7 @@ def simply_chosen(single_v, ambient_v, pixel, averages, rng):
 
 @pytest.mark.parametrize("averages", [1, 2])
 def test_what_is_drawn_backwards_is_chosen_as_often_and_spread_as_runs_from_the_first_pulse_on(averages):
-    pixel = replace(ROUGH, sensor_noise_v=0.25, readout_noise_v=0.05, damping=0.01, accumulations=(1, 2, 3, 4))
+    pixel = replace(ROUGH, sensor_noise_v=0.2, readout_noise_v=0.2, damping=0.01, accumulations=(1, 2, 3, 4))
     single_v = np.array([0.4, 0.25])[:, None] * np.ones(30_000)
     ambient_v = 0.05 * np.ones_like(single_v)
     offset_v = np.zeros((4, 2, 1, 30_000))

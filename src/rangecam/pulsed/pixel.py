@@ -113,22 +113,22 @@ def read_out(
     laser and background fill in one exposure delivers the full scale: the control sees that before the background is
     subtracted (K-PIX-07).
     The accumulated signal is read without destroying it (4.1.1.4): its noise grows pulse by pulse, while each read-out
-    adds its own; together they are `noise_variance`. What counts is drawn, from the last read-out backwards: of an
-    earlier one only where a pixel is full, given what it has become by then, so that the read-outs of a run share the
-    noise of their pulses.
+    adds its own; together they are `noise_variance`. What counts is drawn, from the last read-out backwards: an earlier
+    one only where a pixel is full, and given those after it, since the read-outs of a run share the noise of pulses.
     """
     steps, damped, numbers = _of_read_outs(pixel)
     flat = len(ambient_v), ambient_v[0].size
     means_v = single_v.reshape(*((1, 1) if single_v.ndim == 3 else (averages, len(steps))), *flat)
-    noise_v, grown_v2 = np.zeros((averages, *flat)), np.full((averages, *flat), np.inf)
-    left: tuple[Floats, ...] = means_v, ambient_v.reshape(flat), offset_v.reshape(len(steps), *flat), noise_v, grown_v2
+    walk = np.zeros((3, averages, *flat))
+    walk[0] = np.inf
+    left: tuple[Floats, ...] = means_v, ambient_v.reshape(flat), offset_v.reshape(len(steps), *flat), walk
     chosen_v, n_acc, pixels = np.empty(flat), np.empty(flat[1], np.uint8), _ALL
     for k in range(len(steps) - 1, -1, -1):
-        means_v, ambient_v, offset_v, noise_v, grown_v2 = left
+        means_v, ambient_v, offset_v, walk = left
         light = np.ascontiguousarray(means_v[:, min(k, means_v.shape[1] - 1)]), ambient_v, offset_v[k]
-        deviates = rng.standard_normal((2, *noise_v.shape), np.float32)
+        deviates = rng.standard_normal(walk.shape[1:], np.float32)
         values_v, full = np.empty(ambient_v.shape), np.zeros(ambient_v.shape[1])
-        _read_out(light, deviates, (steps[k], damped[k], numbers, step_v(pixel)), noise_v, grown_v2, values_v, full)
+        _read_out(light, deviates, (steps[k], damped[k], numbers, step_v(pixel)), walk, values_v, full)
         chosen_v[:, pixels], n_acc[pixels] = values_v, steps[k]
         again = full.nonzero()[0]
         if again.size == 0:
@@ -147,19 +147,20 @@ def _of_read_outs(pixel: Pixel) -> tuple[Floats, Floats, Floats]:
     steps = np.array(sorted(pixel.accumulations), np.float64)
     sensor_v, readout_v = remaining_v(pixel)
     per_photon = float(photon_noise(1.0, pixel)) ** 2
-    return steps, damping(steps, pixel), np.array([sensor_v**2, readout_v, per_photon, pixel.saturation_v])
+    return steps, damping(steps, pixel), np.array([sensor_v**2, readout_v**2, per_photon, pixel.saturation_v])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _read_out(light: Any, deviates: Any, rules: Any, noise_v: Any, grown_v2: Any, values_v: Any, full: Any) -> Any:
+def _read_out(light: Any, deviates: Any, rules: Any, walk: Any, values_v: Any, full: Any) -> Any:
     """Fill values (S, N) of one read-out, and 1 for each pixel that is full; whole rows of pixels, several at once.
 
-    noise_v, grown_v2 (averages, S, N): noise of the pulses and its variance at the read-out after this one, then at
-    this one. Noise that grows to x by the variance V has, where its variance was v, the mean x v / V and the variance
-    v (1 - v / V); V is infinite and x nothing where nothing is known.
+    walk (3, averages, S, N): the variance V to which the noise of the pulses has grown at the read-out after this one,
+    and what that and later ones tell of this noise, its mean m and variance P; then the same at this one. Where its
+    variance was v < V, the noise was m v / V on average, with the variance P (v / V)^2 + v (1 - v / V); the noise of
+    reading comes on top of it. V is infinite, m and P are 0 where nothing is known.
     """
-    (means_v, ambient_v, offset_v), (n, d, (sensor_v2, readout_v, per_photon, full_v), step) = light, rules
-    averages, windows, pixels = noise_v.shape
+    (means_v, ambient_v, offset_v), (n, d, (sensor_v2, readout_v2, per_photon, full_v), step) = light, rules
+    (grown_v2, known_v, unsure_v2), (averages, windows, pixels) = walk, walk.shape[1:]
     most_v = np.empty(pixels)
     for s in range(windows):
         values_v[s], most_v[:] = 0.0, 0.0
@@ -170,9 +171,15 @@ def _read_out(light: Any, deviates: Any, rules: Any, noise_v: Any, grown_v2: Any
                 so_far_v2 = n * (sensor_v2 + per_photon * ((mean_v if mean_v > 0.0 else 0.0) + 2 * ambient_v[s, i]))
                 so_far_v2 = so_far_v2 if so_far_v2 < above_v2 else above_v2
                 share = so_far_v2 / above_v2 if so_far_v2 > 0.0 else 0.0
-                noise = share * noise_v[a, s, i] + np.sqrt(so_far_v2 * (1 - share)) * deviates[0, a, s, i]
-                noise_v[a, s, i], grown_v2[a, s, i] = noise, so_far_v2
-                value_v = d * (n * mean_v + noise + readout_v * deviates[1, a, s, i]) + offset_v[s, i]
+                noise_v = share * known_v[a, s, i]
+                noise_v2 = share * share * unsure_v2[a, s, i] + so_far_v2 * (1 - share)
+                read_v2 = noise_v2 + readout_v2
+                read_v = np.sqrt(read_v2) * deviates[a, s, i]
+                told = noise_v2 / read_v2 if read_v2 > 0.0 else 0.0
+                grown_v2[a, s, i] = so_far_v2
+                known_v[a, s, i] = noise_v + told * read_v
+                unsure_v2[a, s, i] = noise_v2 * (1 - told)
+                value_v = d * (n * mean_v + noise_v + read_v) + offset_v[s, i]
                 value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
                 value_v = _converted(value_v, full_v, step)
                 values_v[s, i] += value_v
