@@ -19,7 +19,7 @@ from rangecam.cw.effects import (
     Waveform,
 )
 from rangecam.cw.imperfections import IMPERFECTIONS, ground_truth, ideal, imperfect, with_and_without
-from rangecam.cw.light import correlate
+from rangecam.cw.light import collect, correlate
 from rangecam.cw.link import transfer
 from rangecam.cw.multipath import Emitters, Surfaces, irradiance, solid_angles, surfaces_of
 from rangecam.cw.pixel import fixed_pattern, temperature_c
@@ -301,6 +301,27 @@ def test_a_second_camera_beats_with_ours():
         np.testing.assert_allclose(decoded(camera, view, time_s), expected, rtol=2e-4)
     _, light = correlate(view, camera, 0)
     np.testing.assert_allclose(light, correlate(view, QUIET, 0)[1] * (1 + strength), rtol=1e-5)
+
+
+@pytest.mark.parametrize("beat_hz", [-170.0, 170.0, 50e3])
+def test_the_light_of_two_cameras_is_the_sum_of_both_by_their_harmonics(beat_hz):
+    """The first two are modulated so nearly alike that they are one light; the third is not."""
+    its = Interference(strength=0.05, modulation_hz=QUIET.modulation_hz + beat_hz, phase_deg=130.0)
+    waveform = Waveform(illumination="square", reference="square", bandwidth_hz=4 * QUIET.modulation_hz)
+    camera, step_deg = replace(QUIET, interference=its, waveform=waveform), 90.0
+    range_m = np.random.default_rng(3).uniform(0.3, 12.0, (1, 9, 9))
+    view = View(range_m, np.ones_like(range_m), np.ones_like(range_m))
+    for time_s in (0.0, 3.4e-3, 7.0):
+        expected = 0.0
+        for hz, strength, phase_deg in ((QUIET.modulation_hz, 1.0, 0.0), (its.modulation_hz, 0.05, its.phase_deg)):
+            turns = 2 * range_m[0] * hz / camera.speed_of_light_mps + step_deg / 360 - phase_deg / 360
+            h = harmonics(waveform, hz, 1000)
+            k, beats = np.arange(1, 1001), (hz - QUIET.modulation_hz) * np.array([camera.illumination_time_s, time_s])
+            h = h * np.sinc(beats[0] * k)
+            expected = expected + strength * np.real(np.exp(-2j * np.pi * (turns - beats[1])[..., None] * k) @ h)
+        signal, light = collect(view, camera, step_deg, time_s)
+        amplitude = light * camera.demodulation_contrast / 1.05
+        assert (np.abs(signal - amplitude * expected) < 2e-6 * amplitude + 1e-6 * camera.reference_amplitude_lsb).all()
 
 
 def test_the_beat_of_an_exposure_is_the_integral_over_it():

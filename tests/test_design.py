@@ -289,17 +289,19 @@ def test_a_camera_that_never_saturates_is_saturated_nowhere():
     assert saturated_below_m(config, regions(config.camera, SMALL)[0], 0.8, (0.02, 8.8), SMALL) == 0.0
 
 
-def limits_of(config, reflectivity, at_m, plan=SURE, region=0):
+def limits_of(config, reflectivity, at_m, plan=SURE, region=0, seed=0):
     chosen = regions(config.camera, plan)[region]
-    points = [seen(config, (float(r), reflectivity), plan, region, seed=k) for k, r in enumerate(at_m)]
-    return find_limits(config, chosen, points, plan, np.random.default_rng(1))
+    points = [seen(config, (float(r), reflectivity), plan, region, seed=100 * seed + k) for k, r in enumerate(at_m)]
+    return find_limits(config, chosen, points, plan, np.random.default_rng(1 + seed))
 
 
 def test_the_far_limit_is_where_the_closed_form_crosses_the_target():
-    found = limits_of(usercams(), 0.05, [4.0, 6.0, 8.0, 10.0, 12.0])
+    """A search ends 0.07 m beside it (1 standard deviation): a step is decided by 6000 ranges."""
+    searches = [limits_of(usercams(), 0.05, [4.0, 6.0, 8.0, 10.0, 12.0], seed=k) for k in range(5)]
     at_m = np.linspace(6, 12, 1000)
     sigma_m, _ = expected_of_pulsed(at_m, 0.05, usercams().camera)
-    assert found.farthest_m == pytest.approx(at_m[sigma_m < 0.03 * at_m][-1], rel=0.02)
+    found, farthest_m = searches[0], np.mean([each.farthest_m for each in searches])
+    assert farthest_m == pytest.approx(at_m[sigma_m < 0.03 * at_m][-1], rel=0.012)
     assert found.farthest_m == pytest.approx(LIMITS_OF_THE_THESIS, abs=1)  # N-K-052: beyond 8 m measured
     assert found.near == "not reached within the simulated ranges"
     assert found.far.startswith("the error exceeds 3 % of the range; sensor noise 9")

@@ -187,7 +187,7 @@ def test_correction_brings_the_ranges_back():
 def test_intervals_hold_the_truth_after_correction():
     camera = with_parts(replace(KNOWN, correct=True), replace(CAMERA, pixel=Pixel()))
     truth = scene(camera).range_m[0]
-    images = [measure(camera, seed) for seed in range(20)]
+    images = [measure(camera, seed) for seed in range(60)]
     deviation = np.concatenate([np.abs((i.range_m - truth) / i.sigma_m)[i.valid & (truth < 10)] for i in images])
     assert 0.63 < np.mean(deviation < 1) < 0.73
     assert 0.93 < np.mean(deviation < 1.96) < 0.97

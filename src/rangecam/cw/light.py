@@ -13,7 +13,7 @@ from rangecam.cw.pixel import drift_m, fixed_pattern, range_shift_m, respond
 from rangecam.cw.scattering import scatter
 from rangecam.cw.settings import CwCamera
 from rangecam.cw.signal import gains, metres_per_radian
-from rangecam.cw.waveform import correlation_table, harmonics
+from rangecam.cw.waveform import TABLE_SIZE, correlation_table, harmonics
 from rangecam.scene.view import View
 from rangecam.types import Floats
 
@@ -86,6 +86,36 @@ def _interfering_light(camera: CwCamera, step_deg: float, time_s: float) -> _Lig
     return _Light(turns_per_m, step_deg / 360 - turns_per_m * camera.offset_m - beat, its.strength)
 
 
+def _tables_of(lights: list[_Light], camera: CwCamera) -> tuple[Floats, list[_Light]]:
+    """Return `_tables` and the lights that they belong to: both lights as one, where that is what the pixels see.
+
+    If both are modulated so nearly alike that the second moves against the first by less than `_TOGETHER` of the first
+    in every metre, their sum is a signal of one frequency: what is left falls with the range, from `_TOGETHER` of the
+    light of a white surface 1 m away.
+    """
+    tables, own = _tables(camera), lights[0]
+    if len(lights) == 1 or lights[1].strength * 2 * math.pi * abs(lights[1].turns_per_m - own.turns_per_m) > _TOGETHER:
+        return tables, lights
+    turns = (lights[1].start_turns - own.start_turns) % 1
+    first, part = divmod(turns * TABLE_SIZE, 1)
+    other, at = _over_two_periods(camera), int(first)
+    one, next_one = other[at : at + TABLE_SIZE + 2], other[at + 1 : at + TABLE_SIZE + 3]
+    met = one + np.float32(part) * (next_one - one)
+    met *= np.float32(lights[1].strength)
+    met += tables[0]
+    return met[None], lights[:1]
+
+
+_TOGETHER = 1e-6
+
+
+@lru_cache(maxsize=16)
+def _over_two_periods(camera: CwCamera) -> Floats:
+    """Return the correlation with the light of a second camera, so that a period of it can begin anywhere."""
+    period = _tables(camera)[1, :TABLE_SIZE]
+    return np.concatenate([period, period, period[:3]])
+
+
 @lru_cache(maxsize=16)
 def _tables(camera: CwCamera) -> Floats:
     """Return the correlation over a period with our light, and in a second row with that of a second camera."""
@@ -124,16 +154,17 @@ def _sum_over_rays(view: View, camera: CwCamera, lights: list[_Light], time_s: f
     )
     gain, vignetting = gains(camera, shape)
     of_pixels = fixed_pattern(camera, shape).range_m.reshape(-1), gain.reshape(-1), vignetting.reshape(-1)
-    per_amplitude = np.float32(1 / camera.demodulation_contrast) * sum(each.strength for each in lights)
+    per_amplitude = np.float32(1 / camera.demodulation_contrast) * sum([each.strength for each in lights])
     ambient = camera.ambient_lsb_per_wpm2 * view.ambient_wpm2
     of_all = np.array([drift_m(camera, time_s), per_amplitude, ambient], np.float32)
-    numbers = np.array([(each.turns_per_m, each.start_turns % 1, each.strength) for each in lights], np.float32)
+    tables, apart = _tables_of(lights, camera)
+    numbers = np.array([(each.turns_per_m, each.start_turns % 1, each.strength) for each in apart], np.float32)
     result = np.empty((2, *shape), np.float32)
-    _sum_rays(rays_met, _tables(camera), numbers, of_pixels, of_all, result.reshape(2, -1))
+    _sum_rays(rays_met, tables, numbers, of_pixels, of_all, result.reshape(2, -1))
     return result
 
 
-_BLOCK = 512  # pixels at a time, which leave what is known of them in the fastest memory
+_BLOCK = 1024  # pixels at a time, which leave what is known of them in the fastest memory
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

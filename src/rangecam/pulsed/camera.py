@@ -13,7 +13,7 @@ from rangecam.optics import ambient_on_sensor, irradiance_on_sensor
 from rangecam.pulsed.crosstalk import electrical, optical
 from rangecam.pulsed.feasible import check, max_frame_rate_hz, window_step_s
 from rangecam.pulsed.laser import beam_profile, power_w
-from rangecam.pulsed.pixel import adapt, offsets, read_out, responsivity
+from rangecam.pulsed.pixel import offsets, read_out, responsivity
 from rangecam.pulsed.pulses import differ, mean_of_pulses
 from rangecam.pulsed.settings import PulsedCamera, Taps
 from rangecam.pulsed.signal import Window, correlation_curve, exposures, gate_windows
@@ -70,7 +70,7 @@ def _shutter_planes(
         slope_vps = volts * electrical(slope_wpm2, camera.crosstalk)
         single_v = mean_of_pulses(single_v, slope_vps, ambient_v, camera, rng)
     offset_v = offsets(shape, widths_s, camera.temperature_c, camera.pixel)
-    values_v, n_acc = adapt(read_out(single_v, ambient_v, offset_v, camera.pixel, camera.averages, rng), camera.pixel)
+    values_v, n_acc = read_out(single_v, ambient_v, offset_v, camera.pixel, camera.averages, rng)
     planes: dict[str, Any] = dict(zip(taken, values_v.astype(np.float32), strict=True))
     return planes | {"n_acc": n_acc, "ambient": (np.add.reduce(ambient_vps) / count).astype(np.float32)}
 

@@ -103,32 +103,42 @@ def offsets(shape: tuple[int, int, int], widths_s: tuple[float, ...], temperatur
 
 def read_out(
     single_v: Floats, ambient_v: Floats, offset_v: Floats, pixel: Pixel, averages: int, rng: np.random.Generator
-) -> Floats:
-    """Return what the converter gives at every number of accumulations of a run: (averages, K, S, H, W) V.
+) -> tuple[Floats, NDArray[np.uint8]]:
+    """Return what the converter gives, V (S, H, W), and the accumulations of each pixel (H, W), common to its shutters.
 
     single_v: signal of one pulse (S, H, W), or the mean over the pulses up to each read-out (averages, K, S, H, W).
-    ambient_v (S, H, W): background of one exposure. offset_v: of each read-out, see `offsets`.
-    The accumulated signal is read without destroying it (4.1.1.4): its noise goes on growing pulse by pulse, while each
-    read-out adds its own. The noise of a value is `noise_variance`. A pixel that laser and background fill in one
-    exposure delivers the full scale: the control sees that before the background is subtracted (K-PIX-07).
+    ambient_v (S, H, W): background of one exposure. offset_v (K, S, H, W): of each read-out, see `offsets`.
+    Of the K numbers of accumulations the largest is taken at which no shutter of the pixel is saturated (4.1.1.3;
+    K-PIX-10), else the smallest. Values are means over the averaged images, full scale if one of them is. A pixel that
+    laser and background fill in one exposure delivers the full scale: the control sees that before the background is
+    subtracted (K-PIX-07).
+    The accumulated signal is read without destroying it (4.1.1.4): its noise grows pulse by pulse, while each read-out
+    adds its own; together they are `noise_variance`. What counts is drawn, from the last read-out backwards: an earlier
+    one only where a pixel is full, and given those after it, since the read-outs of a run share the noise of pulses.
     """
     steps, damped, numbers = _of_read_outs(pixel)
-    shape = (averages, len(steps), *ambient_v.shape)
-    flat = (*shape[:3], -1)
-    values_v = np.empty(shape)
-    mean_of = (1, 1) if single_v.ndim == 3 else shape[:2]
-    _read_out(
-        single_v.reshape(*mean_of, shape[2], -1),
-        ambient_v.reshape(len(ambient_v), -1),
-        offset_v.reshape(len(steps), len(ambient_v), -1),
-        rng.standard_normal((2, *shape), np.float32).reshape(2, *flat),
-        steps,
-        damped,
-        numbers,
-        step_v(pixel),
-        values_v.reshape(flat),
-    )
-    return values_v
+    flat = len(ambient_v), ambient_v[0].size
+    means_v = single_v.reshape(*((1, 1) if single_v.ndim == 3 else (averages, len(steps))), *flat)
+    walk = np.zeros((3, averages, *flat))
+    walk[0] = np.inf
+    left: tuple[Floats, ...] = means_v, ambient_v.reshape(flat), offset_v.reshape(len(steps), *flat), walk
+    chosen_v, n_acc, pixels = np.empty(flat), np.empty(flat[1], np.uint8), _ALL
+    for k in range(len(steps) - 1, -1, -1):
+        means_v, ambient_v, offset_v, walk = left
+        light = np.ascontiguousarray(means_v[:, min(k, means_v.shape[1] - 1)]), ambient_v, offset_v[k]
+        deviates = rng.standard_normal(walk.shape[1:], np.float32)
+        values_v, full = np.empty(ambient_v.shape), np.zeros(ambient_v.shape[1])
+        _read_out(light, deviates, (steps[k], damped[k], numbers, step_v(pixel)), walk, values_v, full)
+        chosen_v[:, pixels], n_acc[pixels] = values_v, steps[k]
+        again = full.nonzero()[0]
+        if again.size == 0:
+            break
+        pixels = again if pixels is _ALL else pixels[again]
+        left = tuple([each.take(again, axis=-1) for each in left])
+    return chosen_v.reshape(single_v.shape[-3:]), n_acc.reshape(single_v.shape[-2:])
+
+
+_ALL: Any = slice(None)
 
 
 @lru_cache(maxsize=16)
@@ -137,86 +147,47 @@ def _of_read_outs(pixel: Pixel) -> tuple[Floats, Floats, Floats]:
     steps = np.array(sorted(pixel.accumulations), np.float64)
     sensor_v, readout_v = remaining_v(pixel)
     per_photon = float(photon_noise(1.0, pixel)) ** 2
-    return steps, damping(steps, pixel), np.array([sensor_v**2, readout_v, per_photon, pixel.saturation_v])
+    return steps, damping(steps, pixel), np.array([sensor_v**2, readout_v**2, per_photon, pixel.saturation_v])
 
 
-@njit(cache=True, nogil=True)
-def _read_out(
-    single_v: Any,
-    ambient_v: Any,
-    offset_v: Any,
-    deviates: Any,
-    steps: Any,
-    damped: Any,
-    settings: Any,
-    step: Any,
-    values_v: Any,
-) -> Any:
-    """Fill the values (A, K, S, P), the full scale for a pixel that one exposure fills."""
-    sensor_v2, readout_v, per_photon, full_v = settings
-    averages, count, windows, pixels = values_v.shape
-    noise_v, before_v2 = np.empty(pixels), np.empty(pixels)
-    for a in range(averages):
-        for s in range(windows):
-            noise_v[:], before_v2[:] = 0.0, 0.0
-            for k in range(count):
-                n, d = steps[k], damped[k]
-                means_v = single_v[min(a, len(single_v) - 1), min(k, single_v.shape[1] - 1), s]
-                for i in range(pixels):
-                    mean_v = means_v[i]
-                    so_far_v2 = n * (sensor_v2 + per_photon * (max(mean_v, 0.0) + 2 * ambient_v[s, i]))
-                    noise_v[i] += np.sqrt(max(so_far_v2 - before_v2[i], 0.0)) * deviates[0, a, k, s, i]
-                    before_v2[i] = so_far_v2
-                    value_v = d * (n * mean_v + noise_v[i] + readout_v * deviates[1, a, k, s, i]) + offset_v[k, s, i]
-                    value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
-                    values_v[a, k, s, i] = _converted(value_v, full_v, step)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _read_out(light: Any, deviates: Any, rules: Any, walk: Any, values_v: Any, full: Any) -> Any:
+    """Fill values (S, N) of one read-out, and 1 for each pixel that is full; whole rows of pixels, several at once.
 
-
-def adapt(values_v: Floats, pixel: Pixel) -> tuple[Floats, NDArray[np.uint8]]:
-    """Return the shutter values, V, (S, H, W) and the accumulations of each pixel (H, W), common to its shutters.
-
-    values_v (averages, K, S, H, W): see `read_out`. Of the numbers of accumulations the largest is taken at which no
-    shutter of the pixel is saturated (4.1.1.3; K-PIX-10), else the smallest. Values are means over the averaged images,
-    full scale if one of them is.
+    walk (3, averages, S, N): the variance V to which the noise of the pulses has grown at the read-out after this one,
+    and what that and later ones tell of this noise, its mean m and variance P; then the same at this one. Where its
+    variance was v < V, the noise was m v / V on average, with the variance P (v / V)^2 + v (1 - v / V); the noise of
+    reading comes on top of it. V is infinite, m and P are 0 where nothing is known.
     """
-    averages, count, windows, *image = values_v.shape
-    chosen_v, n_acc = np.empty((windows, *image)), np.empty(image, np.uint8)
-    _adapt(
-        values_v.reshape(averages, count, windows, -1),
-        _numbers(pixel),
-        pixel.saturation_v,
-        chosen_v.reshape(windows, -1),
-        n_acc.reshape(-1),
-    )
-    return chosen_v, n_acc
-
-
-@lru_cache(maxsize=16)
-def _numbers(pixel: Pixel) -> NDArray[np.uint8]:
-    """Return the numbers of accumulations, in order."""
-    return np.array(sorted(pixel.accumulations), np.uint8)
-
-
-@njit(cache=True, nogil=True)
-def _adapt(values_v: Any, steps: Any, full_v: Any, chosen_v: Any, n_acc: Any) -> Any:
-    averages, count, windows, pixels = values_v.shape
-    best, full = np.zeros(pixels, np.int64), np.empty(pixels, np.bool_)
-    for k in range(count):  # whole rows of pixels, several at once
-        full[:] = False
+    (means_v, ambient_v, offset_v), (n, d, (sensor_v2, readout_v2, per_photon, full_v), step) = light, rules
+    (grown_v2, known_v, unsure_v2), (averages, windows, pixels) = walk, walk.shape[1:]
+    most_v = np.empty(pixels)
+    for s in range(windows):
+        values_v[s], most_v[:] = 0.0, 0.0
         for a in range(averages):
-            for s in range(windows):
-                for i in range(pixels):
-                    full[i] |= values_v[a, k, s, i] >= full_v
+            of_a = min(a, len(means_v) - 1)
+            for i in range(pixels):
+                mean_v, above_v2 = means_v[of_a, s, i], grown_v2[a, s, i]
+                so_far_v2 = n * (sensor_v2 + per_photon * ((mean_v if mean_v > 0.0 else 0.0) + 2 * ambient_v[s, i]))
+                so_far_v2 = so_far_v2 if so_far_v2 < above_v2 else above_v2
+                share = so_far_v2 / above_v2 if so_far_v2 > 0.0 else 0.0
+                noise_v = share * known_v[a, s, i]
+                noise_v2 = share * share * unsure_v2[a, s, i] + so_far_v2 * (1 - share)
+                read_v2 = noise_v2 + readout_v2
+                read_v = np.sqrt(read_v2) * deviates[a, s, i]
+                told = noise_v2 / read_v2 if read_v2 > 0.0 else 0.0
+                grown_v2[a, s, i] = so_far_v2
+                known_v[a, s, i] = noise_v + told * read_v
+                unsure_v2[a, s, i] = noise_v2 * (1 - told)
+                value_v = d * (n * mean_v + noise_v + read_v) + offset_v[s, i]
+                value_v = np.inf if mean_v + ambient_v[s, i] >= full_v else value_v
+                value_v = _converted(value_v, full_v, step)
+                values_v[s, i] += value_v
+                most_v[i] = value_v if value_v > most_v[i] else most_v[i]
         for i in range(pixels):
-            best[i] = best[i] if full[i] else k
-    for i in range(pixels):
-        n_acc[i] = steps[best[i]]
-        for s in range(windows):
-            total_v, filled = 0.0, False
-            for a in range(averages):
-                total_v += values_v[a, best[i], s, i]
-                filled |= values_v[a, best[i], s, i] >= full_v
-            chosen_v[s, i] = full_v if filled else total_v / averages
+            filled = most_v[i] >= full_v
+            values_v[s, i] = full_v if filled else values_v[s, i] / averages
+            full[i] = 1.0 if filled else full[i]
 
 
 def convert(value_v: Floats, pixel: Pixel) -> Floats:

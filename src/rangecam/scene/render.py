@@ -194,10 +194,24 @@ def _cast(
 def _keep(found: Any, place: Any, in_row: Any, image: Any) -> Any:
     """Fill a tile of an image, row by row; indices without a sign need no check whether they count from the end."""
     in_row = np.uintp(in_row)
-    for start in range(np.uintp(0), np.uintp(len(place)), in_row):
-        to = np.uintp(place[start])
-        for i in range(np.uintp(0), in_row):
-            image[to + i] = found[start + i]
+    if in_row % np.uintp(8) == np.uintp(0):
+        for start in range(np.uintp(0), np.uintp(len(place)), np.uintp(8)):
+            _keep_eight(found, start, image, np.uintp(place[start]))
+    else:
+        for start in range(np.uintp(0), np.uintp(len(place)), in_row):
+            to = np.uintp(place[start])
+            for i in range(np.uintp(0), in_row):
+                image[to + i] = found[start + i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _keep_eight(found: Any, at: Any, image: Any, to: Any) -> Any:
+    """Fill eight values, which become one vector as all of them are read before the first is written."""
+    pair, four = (found[at], found[at + np.uintp(1)]), (found[at + np.uintp(2)], found[at + np.uintp(3)])
+    six, eight = (found[at + np.uintp(4)], found[at + np.uintp(5)]), (found[at + np.uintp(6)], found[at + np.uintp(7)])
+    values = pair + four + six + eight
+    for i in range(8):
+        image[to + np.uintp(i)] = values[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
