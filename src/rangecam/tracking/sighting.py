@@ -105,7 +105,8 @@ def emerged(end: Floats, memory: Floats, restless: float) -> float:
     noise or from behind something. One end may have moved alone, so that the middle of the piece was off by half of
     what it lacked: an error of where the track was said to be, and no way that it has gone since.
     """
-    return max(end[3] - 4 * math.sqrt(restless) - memory[_PLACED], 0.0) ** 2 / 4
+    lacked: float = max(end[3] - 4 * math.sqrt(restless) - memory[_PLACED], 0.0)
+    return lacked * lacked / 4
 
 
 @kernel
