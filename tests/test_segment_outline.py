@@ -401,3 +401,44 @@ def test_what_lies_beside_the_area_of_interest_belongs_to_a_thing_whose_end_is_s
     found = segment(labels, source, dim_sigma_m=0.3)
     assert found.cut == Cut.LEFT
     assert_allclose(found.size_m[1], 12 * PIXEL_M, rtol=0.1)
+
+
+# -- pieces of a surface that goes on ----------------------------------------------------------------------------------
+
+
+def grazing(slope):
+    """Return a wall that is 5 m away amid the image and comes nearer by `slope` m for each m to the left."""
+    ray = rays(LENS, SHAPE)
+    range_m = (5.0 / (ray[..., 0] + slope * ray[..., 1])).astype(np.float32)
+    return RangeImage(0.0, range_m, np.full(SHAPE, 0.03, np.float32), np.ones_like(range_m), np.zeros(SHAPE, "u1"))
+
+
+def slid(source, **changes):
+    """Return by how much the covariance across and ahead of a piece of 20 columns grows because it may slide."""
+    labels = block(slice(18, 22), slice(20, 40))
+    sure, slides = (segment(labels, source, pieces_slide=on, **changes).covariance_m2 for on in (False, True))
+    assert_allclose((slides - sure)[2], 0.0, atol=1e-12)
+    return (slides - sure)[:2, :2]
+
+
+@pytest.mark.parametrize("slope", [1.0, -1.0])
+@pytest.mark.parametrize("reason", [Why.VALID, Why.ISOLATED])
+def test_a_piece_of_a_wall_may_lie_anywhere_along_it(slope, reason):
+    source = grazing(slope)
+    source.why[:, :20], source.why[:, 40:] = reason, reason
+    x = to_world(source, LENS, Mounting())[20, 20:40, 0]
+    found = slid(source)
+    assert found[0, 0] == pytest.approx((x.max() - x.min()) ** 2 / 12, rel=0.15)
+    assert_allclose(found[0, 1], -found[0, 0] / slope, rtol=0.01)
+    assert_allclose(found[1, 1], found[0, 0] / slope**2, rtol=0.02)
+    assert np.linalg.det(found) == pytest.approx(0.0, abs=1e-9)
+    source.range_m[:, :20] += 4.0  # it ends there
+    assert_allclose(slid(source), found / 4, rtol=1e-5)
+
+
+@pytest.mark.parametrize("reason", [Why.LOW_AMPLITUDE, Why.FLOOR, Why.BORDER])
+def test_what_ends_at_both_sides_or_is_seen_squarely_slides_nowhere(reason):
+    source = grazing(1.0)
+    source.why[:, :20], source.why[:, 40:] = reason, reason
+    assert_allclose(slid(source), 0.0)
+    assert_allclose(slid(grazing(0.0)), 0.0)

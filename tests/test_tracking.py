@@ -352,6 +352,46 @@ def test_the_centroid_is_as_uncertain_as_the_ends_of_the_outline_are_restless(rn
     assert quiet[-1].covariance[0, 3, 3] < steps[-1].covariance[0, 3, 3] / 20
 
 
+def pieces(count: int, rng: np.random.Generator) -> list[Segments]:
+    """A car at rest, 1.8 m wide, that comes out of the noise: a piece, a larger one, all of it; ends err by 8 cm."""
+    frames, low, high = [], *np.sort(rng.uniform(-0.9, 0.9, 2))
+    for k in range(count):
+        if k == 2:
+            low, high = -0.9, 0.9
+        elif k:
+            low, high = rng.uniform(-0.9, low), rng.uniform(high, 0.9)
+        right, left = np.array([low, high]) + rng.normal(0, 0.08, 2)
+        size = np.array([[0.5, max(left - right, 0.1), 0.5]])
+        R = np.diag([0.1, 0.08**2 / 2, 0.01])
+        frames.append(seen(rng.multivariate_normal([20.0, (left + right) / 2, 0.0], R * [1, 0, 1]), R, size_m=size))
+    return frames
+
+
+@pytest.mark.parametrize("modes", [(), (Mode(), Mode(model="wiener_acceleration", step_mps2=1.0))])
+def test_what_comes_out_of_the_noise_piece_by_piece_is_not_taken_to_move(
+    modes: tuple[Mode, ...], rng: np.random.Generator
+) -> None:
+    motion = MotionSettings(model="wiener_acceleration", step_mps2=1.0, modes=modes)
+    settings = dataclasses.replace(PLAIN, motion=motion, speed_sigma_mps=8.0, gate_probability=0.999)
+    of_both, of_speed = [], []
+    for _ in range(150):
+        tracks = follow(pieces(15, rng), settings)[-1]
+        e, P = tracks.state[0, 3:5], tracks.covariance[0, 3:5, 3:5]
+        of_both.append(e @ np.linalg.solve(P, e) / 2)
+        of_speed.append(e[1] ** 2 / P[1, 1])
+    assert np.mean(of_both) < 1.5
+    assert np.mean(np.array(of_speed) > 3**2) < 0.02
+
+
+def test_ends_that_err_by_as_much_as_is_said_make_nobody_less_sure(rng: np.random.Generator) -> None:
+    widths = 0.5 + 4 * 0.1 * np.concatenate([[0.0], rng.uniform(-0.5, 0.5, 30)])
+    jittering = [seen([5.0, 0.0, 0.0], size_m=np.array([[0.5, w, 0.5]])) for w in widths]
+    as_wide = follow([seen([5.0, 0.0, 0.0])] * len(widths))[-1]
+    np.testing.assert_allclose(follow(jittering)[-1].covariance[0], as_wide.covariance[0], rtol=1e-12)
+    jittering[20] = seen([5.0, 0.0, 0.0], size_m=np.array([[0.5, 2.0, 0.5]]))
+    assert follow(jittering[:21])[-1].covariance[0, 3, 3] > 2 * follow(jittering[:20])[-1].covariance[0, 3, 3]
+
+
 def test_a_jitter_of_the_time_stamps_blurs_only_what_moves() -> None:
     def final(speed: float, jitter: float) -> Tracks:
         settings = dataclasses.replace(PLAIN, frame_time_sigma_s=jitter)

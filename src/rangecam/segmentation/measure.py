@@ -12,6 +12,7 @@ from rangecam.geometry import Lens, Mounting, is_plain, pixel_pitch, pixel_steps
 from rangecam.segmentation.outline import cut_short
 from rangecam.segmentation.profile import outline_profile
 from rangecam.segmentation.settings import SegmentSettings
+from rangecam.segmentation.sliding import slides
 from rangecam.segmentation.surface import surface_shape
 from rangecam.types import PROFILE_BANDS, SURFACE, Floats, Ints, RangeImage, Segments
 
@@ -38,14 +39,18 @@ def measure_segments(
     means, n_pixels, box = np.empty((2, count)), np.empty(count, np.int64), np.empty((count, 4), np.int64)
     nearest_m, cut, ends_m = np.empty((count, 3)), np.empty(count, np.uint8), np.empty((count, 2))
     profile, surface = np.empty((count, 3, PROFILE_BANDS)), np.empty((count, len(SURFACE)))
+    slide = np.zeros((count, 2))
     known, angles = _known(lens, mounting, shape, settings), _angles(lens, shape)
-    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut, ends_m, profile, surface
+    filled = position_m, size_m, sigmas, means, n_pixels, box, nearest_m, cut, ends_m, profile, surface, slide
     if not _measure(labels, np.ascontiguousarray(points), *planes, why, known, angles, *filled):
         return _without_holes(labels, points, image, lens, mounting, settings)
+    covariance_m2 = point_covariance(position_m, sigmas, lens, mounting, shape)
+    if slide.any():
+        covariance_m2[:, :2, :2] += slide[:, :, None] * slide[:, None, :]
     return Segments(
         label=np.arange(1, count + 1),
         position_m=position_m,
-        covariance_m2=point_covariance(position_m, sigmas, lens, mounting, shape),
+        covariance_m2=covariance_m2,
         size_m=size_m,
         near_m=nearest_m[:, 0].copy(),
         n_pixels=n_pixels,
@@ -79,6 +84,7 @@ def _known(lens: Lens, mounting: Mounting, shape: tuple[int, int], settings: Seg
             settings.depth_scatter,
             settings.edge_range_sigma_m,
             settings.dim_sigma_m,
+            settings.pieces_slide,
         ],
         float,
     )
@@ -131,6 +137,7 @@ def _measure(
     ends_m: Any,
     profile: Any,
     surface: Any,
+    slide: Any,
 ) -> Any:
     """Fill the eleven last arrays, means: range and amplitude; return False if a point is not finite or missing."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
@@ -143,6 +150,8 @@ def _measure(
     further_m = np.zeros((len(box), 2))
     cut_short(labels, points, (range_m, sigma_m, why), box, bounds, hides, cut, ends_m, further_m)
     outline_profile(labels, points, box, profile)
+    if known[27] > 0:
+        slides(labels, points, (range_m, sigma_m, why), sums, box, (known[20], known[21]), slide)
     surface_shape(labels, points, (range_m, amplitude), sums, box, surface)
     _evaluate(sums, bounds, box, known, angles, position_m, size_m, sigmas, means, n_pixels, cut, nearest_m, further_m)
     return True

@@ -85,3 +85,7 @@ class SegmentSettings:
     """A thing ends at its sides where its surface does, also where that goes on outside the area of interest, or is too
     dim to be used: pixels refused for their light or their neighbours count if the standard deviation of their range is
     at most this. 0: it ends with its label, and seems to move as more of it becomes bright enough."""
+    pieces_slide: bool = False
+    """Whether the middle of a piece of a surface that goes on at its ends is as uncertain, along the surface, as the
+    piece is long: what is grown by range falls into pieces where a rail or a wall is seen at a grazing angle, others in
+    each image where the range is noisy."""

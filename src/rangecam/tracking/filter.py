@@ -6,10 +6,10 @@ import numpy as np
 
 from rangecam.compiled import kernel
 from rangecam.tracking.association import NO_PAIR
-from rangecam.tracking.sighting import BOTH, aside, grows, within
+from rangecam.tracking.sighting import BOTH, aside, emerged, grows, within
 from rangecam.types import MEMORY, Floats, Ints
 
-_SIDE = MEMORY.index("placed_side")
+_PLACED, _SIDE = MEMORY.index("placed_width"), MEMORY.index("placed_side")
 
 Measured = tuple[Floats, Floats, float, Ints, Floats, Floats, Floats, float]
 """Positions and R of the segments, variance of the time, their pixels, `sighting.ends`; memory of the tracks,
@@ -85,7 +85,7 @@ def sight(measured: Measured, i: int, j: int, x: Floats, P: Floats, z: Floats, w
     if measured[4][j, 1] == BOTH:
         z[1], variance = within(x, P, less, measured[4][j], measured[5][i], z[1])
         wander[1] += variance - measured[1][j, 1, 1]
-    return less
+    return less + emerged(measured[4][j], measured[5][i], measured[6][i, 1])
 
 
 @kernel
@@ -128,7 +128,9 @@ def update(
             continue
         if j < 0:
             continue
-        if aims(measured[4][j, 1], measured[5][i, _SIDE], measured[6][i, 1]):
+        if measured[4][j, 3] > measured[5][i, _PLACED] or aims(
+            measured[4][j, 1], measured[5][i, _SIDE], measured[6][i, 1]
+        ):
             covariance[i, 3, 3] += sight(measured, i, j, state[i], covariance[i], z, wander)
             squared, _ = correct(state[i], covariance[i], z, measured[1][j], measured[2], wander, W)
             state[i, 3] += grows(measured[4][j], measured[5][i], measured[7])

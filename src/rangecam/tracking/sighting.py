@@ -58,17 +58,22 @@ def unseen(
 def ends(covariance: Floats, seen: tuple[Floats, Ints, Ints, Floats], rules: Floats, R: Floats) -> Floats:
     """Return for each segment that is open at one side where its other end is, the side that is open, the width seen.
 
-    (M, 3): y, side (1 left, -1 right, 0: none), width; seen: size, pixels, cut, `Segments.ends_m`; see `open_side`.
-    Such a segment says of its track where that end is, as surely as the end is known, which is written into R; how wide
-    the track is beyond it, nothing says, and its position is that of the middle of the width that it has had so far
-    (`placed_width`). So what comes into sight moves as its end does, not as its middle seems to. What is hidden on both
-    sides has side 2, and in place of y the variance of the middle of what is seen: see `within`.
+    (M, 4): y, side (1 left, -1 right, 0: none), width, and as much of it as is sure by two standard deviations (ends
+    that err by s each move the middle by s / sqrt(2) and change the width by twice as much), 0 of what is seen between
+    two nearer things. seen: size, pixels, cut, `Segments.ends_m`; see `open_side`. What is open at one side says of its
+    track where the other end is, as surely as that is known, which is written into R; how wide the track is beyond it,
+    nothing says, and its position is that of the middle of the width that it has had so far (`placed_width`). So what
+    comes into sight moves as its end does, not as its middle seems to. What is hidden on both sides has side 2, and in
+    place of y the variance of the middle of what is seen: see `within`.
     """
     size, pixels, cut, sides = seen
-    end = np.zeros((cut.size, 3))
+    end = np.zeros((cut.size, 4))
     for j in range(cut.size):
         end[j, 2] = max(sides[j, 0] - sides[j, 1], 0.0) if pixels[j] > 0 else 0.0
         side = open_side(cut[j], sides[j, 0], sides[j, 1], rules[23]) if pixels[j] > 0 else 0.0
+        if pixels[j] > 0 and not between(cut[j]):
+            sure = 4 * covariance[j, 1, 1] + (rules[20] if side != 0 else 0.0)
+            end[j, 3] = (end[j, 2] if side != 0 else size[j, 1]) - 2 * math.sqrt(sure)
         if side != 0:
             end[j, 0], end[j, 1] = sides[j, 1 if side > 0 else 0], side
             # an end errs twice as much as the middle of it and one that is sure
@@ -90,6 +95,19 @@ def grows(end: Floats, memory: Floats, weight: float) -> float:
 def widened(seen: float, placed: float, weight: float) -> float:
     """Return by how much the width grows that a track is placed by, when it is seen to be so wide."""
     return weight * (seen - placed) if seen > placed else 0.0
+
+
+@kernel
+def emerged(end: Floats, memory: Floats, restless: float) -> float:
+    """Return by how much y of a track is less known as it was placed by a piece of what is seen now.
+
+    end (4,): of the segment, see `ends`; restless: variance by which the track's middle wanders. What is wider than the
+    track was, by more than two standard deviations of how its ends err, has come into sight, pixel by pixel out of the
+    noise or from behind something. One end may have moved alone, so that the middle of the piece was off by half of
+    what it lacked: an error of where the track was said to be, and no way that it has gone since.
+    """
+    lacked: float = max(end[3] - 4 * math.sqrt(restless) - memory[_PLACED], 0.0)
+    return lacked * lacked / 4
 
 
 @kernel
