@@ -250,6 +250,7 @@ ANY = st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1e-300, -1e-300, 1e9])
 
 @hypothesis_settings(deadline=None)
 @example([-318.4470064766315, 1e9, 0.0, 0.0, 0.0, 0.0], 0.0, 0.0, False)
+@example([1e9, -50.0, 0.0, 0.0, 0.0, 0.0], 1e-20, 0.0, False)
 @given(st.lists(ANY, min_size=6, max_size=6), st.sampled_from([0.0, 1e-20, 1.0, 1e6]), ANY, st.booleans())
 def test_whatever_the_track_is_what_is_said_of_it_is_possible(
     state: list[float], variance: float, yaw_rate: float, use_acceleration: bool

@@ -65,13 +65,15 @@ def quantiles(
     lag: float,
     new: Floats,
 ) -> None:
-    """Write the quantiles of the time in which d + v t + a t^2/2 reaches 0; motion: d, v, a."""
+    """Write the quantiles of the time in which d + v t + a t^2/2 reaches 0; motion: d, v, a; z: in ascending order."""
     d, v, a = motion
     if not comes:
         new[:] = math.inf
     elif a == 0 and source[2] == 0:
-        for k in range(z.size):
-            new[k] = max(arrival_quantile(d, v, variance, z[k]) - lag, 0.0)
+        before = 0.0
+        for k in range(z.size):  # in order, where rounding takes one root for the other
+            new[k] = max(arrival_quantile(d, v, variance, z[k]) - lag, before)
+            before = new[k]
     else:
         _sampled_quantiles(motion, variance, source, points, z, lag, new)
 
