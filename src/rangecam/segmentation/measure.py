@@ -139,7 +139,7 @@ def _measure(
     surface: Any,
     slide: Any,
 ) -> Any:
-    """Fill the eleven last arrays, means: range and amplitude; return False if a point is not finite or missing."""
+    """Fill the twelve last arrays, means: range and amplitude; return False if a point is not finite or missing."""
     sums, bounds = np.zeros((len(box), 10)), np.empty((len(box), 6), np.float32)
     _sum(labels, points, range_m, sigma_m, amplitude, sums, bounds, box)
     for k in range(len(sums)):

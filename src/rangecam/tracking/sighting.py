@@ -114,7 +114,7 @@ def emerged(end: Floats, memory: Floats, restless: float) -> float:
 def aside(end: Floats, memory: Floats, restless: float, weight: float) -> tuple[float, float, float]:
     """Return y of a track's middle by the end that its segment shows, how it wanders, and by how much y is less known.
 
-    end (3,): of the segment, see `ends`; memory: of the track; restless: wander of its middle, which is not that of one
+    end (4,): of the segment, see `ends`; memory: of the track; restless: wander of its middle, which is not that of one
     end; weight: of the newest width. What is wider than it was before has come into sight, or the end that it is placed
     by errs; of what is restless one end may have moved alone, and the middle by half of what the width changed. Where
     it is another end than before, or the middle again, what is not known of its width moves it, but says nothing of its

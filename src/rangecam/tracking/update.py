@@ -246,7 +246,7 @@ def _seen_in(segments: Segments) -> Seen:
     if seen[-1] is None:
         seen = (*seen[:-1], segments.position_m[:, 1:2] + segments.size_m[:, 1:2] * _HALVES)
     if tuple(map(_TYPE, seen)) == _TYPES:
-        return seen  # type: ignore[no-any-return]
+        return seen  # type: ignore[no-any-return]  # these are the types of Seen
     return tuple(np.asarray(each, kind) for each, kind in zip(seen, _TYPES, strict=True))  # type: ignore[return-value]
 
 
